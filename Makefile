@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+# `make run` and `make test` do all of their set-up in $(VENV); `make help` lists the rest.
+
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+
+VENV ?= .venv
+BENCH_VENV ?= .venv-bench
+# the interpreter to make the environments with; empty: the first of the candidates that serves
+PYTHON ?=
+# a NumPy release to hold to, such as 1.26; empty: the newest that the other packages allow
+NUMPY ?=
+TEST_TIMEOUT ?= 180
+PYTEST_ARGS ?=
+
+# A sourced ROS installation and the wheels of rclpy in $(VENV) must not mix: neither its modules
+# and libraries, nor a middleware that the wheels do not have. ROS_DOMAIN_ID stays the user's.
+unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH
+unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE VIRTUAL_ENV PIP_USER PIP_TARGET PIP_PREFIX
+FOREIGN := $(filter ROS_% RMW_% RCUTILS_% FASTRTPS_% FASTDDS_% CYCLONEDDS_%,$(.VARIABLES))
+$(foreach name,$(filter-out ROS_DOMAIN_ID,$(FOREIGN)),$(eval unexport $(name)))
+# where ROS looks for what the wheels installed
+export AMENT_PREFIX_PATH := $(abspath $(VENV))
+# nothing here may reach a robot on the network
+export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
+export ROS_LOG_DIR := $(CURDIR)/build/ros-log
+
+BIN := $(VENV)/bin
+INSTALLED := $(VENV)/.installed$(if $(NUMPY),-numpy-$(NUMPY))
+CANDIDATES := python3.12 python3.11 python3 python3.13 python3.10
+SUITABLE := import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 10))
+
+.PHONY: help run test bench colcon js-readers clean distclean same-python
+
+help:
+	@echo "make run         move the simulated arm down a vertical line over ROS 2, record, replay"
+	@echo "make test        run the tests"
+	@echo "make bench       speed beside other simulators (in its own environment, $(BENCH_VENV))"
+	@echo "make colcon      build with colcon, run the installed node with an external controller"
+	@echo "make js-readers  install the JavaScript bag readers that make test then uses (needs npm)"
+	@echo "make clean       remove what was built; make distclean: the environments as well"
+	@echo
+	@echo "PYTHON=python3.11  the interpreter to use    NUMPY=1.26  hold NumPy to that release"
+	@echo "VENV=.venv311      another environment       PYTEST_ARGS='-k bag'  passed on to pytest"
+
+# $(1): the folder of the environment
+define make_venv
+	@python="$(PYTHON)"; \
+	if [ -z "$$python" ]; then \
+	    for candidate in $(CANDIDATES); do \
+	        if "$$candidate" -c '$(SUITABLE)' >/dev/null 2>&1; then python=$$candidate; break; fi; \
+	    done; \
+	fi; \
+	if [ -z "$$python" ] || ! "$$python" -c '$(SUITABLE)' >/dev/null 2>&1; then \
+	    echo "make: $${python:-python3}: not a Python 3.10 or later that has venv."; \
+	    echo "      On Debian or Ubuntu: sudo apt install python3 python3-venv"; \
+	    echo "      or name another: make PYTHON=/path/to/python3 $(MAKECMDGOALS)"; \
+	    exit 1; \
+	fi; \
+	echo "Making $(1) with $$("$$python" -c 'import sys; print(sys.executable, sys.version.split()[0])')"; \
+	"$$python" -m venv --clear "$(1)"; \
+	"$(1)/bin/python" -m pip install -q --upgrade pip
+	@touch "$(1)/.created"
+endef
+
+$(VENV)/.created: | same-python
+	$(call make_venv,$(VENV))
+
+# An environment of another release would be used silently.
+same-python:
+	@if [ -n "$(PYTHON)" ] && [ -e $(VENV)/.created ]; then \
+	    version='import sys; print("%d.%d" % sys.version_info[:2])'; \
+	    has=$$($(BIN)/python -c "$$version"); asked=$$("$(PYTHON)" -c "$$version"); \
+	    if [ "$$has" != "$$asked" ]; then \
+	        echo "make: $(VENV) is of Python $$has and PYTHON=$(PYTHON) is $$asked:"; \
+	        echo "      name another with VENV=.venv$${asked/./}, or make distclean first"; \
+	        exit 1; \
+	    fi; \
+	fi
+
+$(BENCH_VENV)/.created:
+	$(call make_venv,$(BENCH_VENV))
+
+# Only wheels of numba: where there is none, a build from source would need LLVM.
+PIP_INSTALL = $(BIN)/python -m pip install -q --only-binary numba,llvmlite \
+    $(if $(NUMPY),-c $(VENV)/constraints.txt)
+
+$(INSTALLED): $(VENV)/.created setup.py pyproject.toml
+	@echo "Installing into $(VENV) (a few minutes, about 1 GB, the first time)"
+	@echo "$(if $(NUMPY),numpy==$(NUMPY).*)" > $(VENV)/constraints.txt
+	@if ! $(PIP_INSTALL) -e '.[fast,ros,plot,test]' > $(VENV)/install.log 2>&1; then \
+	    echo "numba cannot be installed here (see $(VENV)/install.log); trying without: the model then"; \
+	    echo "runs as plain Python, slower and with the same equations."; \
+	    $(PIP_INSTALL) -e '.[ros,plot,test]' > $(VENV)/install-plain.log 2>&1 || { \
+	        cat $(VENV)/install-plain.log; \
+	        echo "make: the installation failed. If the ros- packages were not found: their wheels are for"; \
+	        echo "      Linux on x86-64; elsewhere use a ROS 2 Jazzy installation and colcon (README)."; \
+	        exit 1; }; \
+	fi
+	@touch $@
+
+run: $(INSTALLED)
+	@$(BIN)/python -m puma_sim_ros.demo --out build/demo
+
+test: $(INSTALLED)
+	@if [ -d build/js/node_modules ]; then \
+	    export PUMA_SIM_NODE_MODULES="$${PUMA_SIM_NODE_MODULES:-$(CURDIR)/build/js/node_modules}"; \
+	fi; \
+	$(BIN)/python -m pytest -q --timeout=$(TEST_TIMEOUT) $(PYTEST_ARGS)
+
+# Each peer on its own, and none may move the NumPy or numba that our own rows run on.
+PEERS := mujoco pin roboticstoolbox-python casadi
+
+$(BENCH_VENV)/.installed: $(BENCH_VENV)/.created setup.py pyproject.toml
+	@echo "Installing into $(BENCH_VENV) (a few minutes the first time)"
+	@pip="$(BENCH_VENV)/bin/python -m pip"; log=$(BENCH_VENV)/install.log; \
+	if ! $$pip install -q --only-binary numba,llvmlite -e '.[fast]' > $$log 2>&1; then \
+	    echo "numba cannot be installed here: our own rows are then those of plain Python"; \
+	    $$pip install -q -e . > $$log 2>&1 || { cat $$log; exit 1; }; \
+	fi; \
+	$$pip freeze | grep -iE '^(numpy|numba|llvmlite|scipy)==' > $(BENCH_VENV)/constraints.txt; \
+	for peer in $(PEERS); do \
+	    $$pip install -q --prefer-binary -c $(BENCH_VENV)/constraints.txt "$$peer" \
+	        > "$(BENCH_VENV)/$$peer.log" 2>&1 \
+	        || echo "$$peer cannot be installed here (see $(BENCH_VENV)/$$peer.log): no row of it"; \
+	done
+	@touch $@
+
+bench: $(BENCH_VENV)/.installed
+	@$(BENCH_VENV)/bin/python -m puma_sim_core.bench
+
+$(VENV)/.colcon: $(INSTALLED)
+	@$(BIN)/python -m pip install -q colcon-common-extensions colcon-ros catkin-pkg \
+	    > $(VENV)/colcon.log 2>&1 || { cat $(VENV)/colcon.log; exit 1; }
+	@touch $@
+
+# Two scratch workspaces, for both ways to build. colcon gives its own Python to the programs; it
+# would warn of an AMENT_PREFIX_PATH that is no workspace.
+COLCON_BUILD = env -u AMENT_PREFIX_PATH "$(abspath $(BIN))/colcon" build
+
+colcon: $(VENV)/.colcon
+	@rm -rf build/colcon
+	@mkdir -p build/colcon/copied build/colcon/linked
+	@cd build/colcon/copied && $(COLCON_BUILD) --paths "$(CURDIR)"
+	@cd build/colcon/linked && $(COLCON_BUILD) --paths "$(CURDIR)" --symlink-install
+	@for workspace in copied linked; do ( \
+	    echo "The node of build/colcon/$$workspace with an external controller:"; \
+	    set +u; source build/colcon/$$workspace/install/setup.bash; set -u; \
+	    $(BIN)/python test/installed_node_check.py --out build/colcon/$$workspace/check ); \
+	done
+
+js-readers:
+	@mkdir -p build/js
+	@npm install --silent --no-audit --no-fund --prefix build/js \
+	    @mcap/core @foxglove/rosmsg @foxglove/rosmsg2-serialization
+	@echo "JavaScript bag readers: build/js/node_modules"
+
+clean:
+	rm -rf build dist install log puma_sim_ros.egg-info .pytest_cache .hypothesis
+	find . -name .venv\* -prune -o -name __pycache__ -type d -exec rm -rf {} +
+
+distclean: clean
+	rm -rf $(VENV) .venv .venv-bench .venv3*

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compiling the kernel: by numba where it is installed, plain Python otherwise.
+
+A process uses one of the two throughout. The environment variable ``PUMA_SIM_KERNEL`` chooses:
+``numba`` (an error where it is missing), ``python``, or ``auto``, the default. Both give the same
+bits: numba's fast-math options stay off, so that no product is fused with a sum, and both call
+the same sine, cosine and exponential of the C library.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+from pathlib import Path
+
+from .errors import ParameterError
+
+_PACKAGE = Path(__file__).resolve().parent
+#: what the compiled kernel is made of; a change of any of them makes an older cache void
+_SOURCES = ("backend.py", "kernel.py", "contact.py", "runs.py", "batch.py", "effects", "control")
+
+
+def _choose() -> str:
+    wanted = os.environ.get("PUMA_SIM_KERNEL", "auto")
+    if wanted not in ("auto", "numba", "python"):
+        raise ParameterError(f"kernel '{wanted}'", where="environment variable PUMA_SIM_KERNEL",
+                             expected="auto, numba or python")
+    if wanted == "python":
+        return "python"
+    try:
+        import numba  # noqa: F401
+    except ImportError:
+        if wanted == "numba":
+            raise ParameterError("numba is not installed",
+                                 where="environment variable PUMA_SIM_KERNEL",
+                                 expected="python or auto, or `pip install numba`") from None
+        return "python"
+    return "numba"
+
+
+def _source_digest() -> str:
+    """Digest of all sources that are compiled together.
+
+    numba's own cache looks only at the file of the function itself, and would go on using an
+    entry whose callee in another file has changed.
+    """
+    digest = hashlib.sha256(sys.version.encode())
+    for name in _SOURCES:
+        path = _PACKAGE / name
+        for file in sorted(path.glob("*.py")) if path.is_dir() else [path]:
+            if file.exists():
+                digest.update(file.name.encode() + file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _cache_directory() -> str | None:
+    """A writable folder for compiled code, or None: an install without one compiles each time."""
+    base = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or "~/.cache"
+    folder = Path(base).expanduser() / "puma_sim" / f"kernel-{_source_digest()}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = folder / f".probe-{os.getpid()}"
+        probe.touch()
+        probe.unlink()
+    except (OSError, RuntimeError):
+        return None
+    return str(folder)
+
+
+BACKEND = _choose()
+
+if BACKEND == "numba":
+    import numba
+
+    _CACHE = _cache_directory()
+
+    def _jit(function, **options):
+        before = numba.config.CACHE_DIR
+        try:
+            # numba looks the folder up while it decorates; other users of numba keep theirs
+            numba.config.CACHE_DIR = _CACHE or before
+            return numba.njit(function, nogil=True, error_model="numpy",
+                              cache=_CACHE is not None, **options)
+        finally:
+            numba.config.CACHE_DIR = before
+
+    def inlined(function):
+        """Compile as a part of its callers."""
+        return numba.njit(function, nogil=True, error_model="numpy", forceinline=True)
+
+    def compiled(function):
+        """Compile as an entry that Python calls, kept on disk."""
+        return _jit(function)
+
+else:
+
+    def inlined(function):
+        """The function as it is."""
+        return function
+
+    def compiled(function):
+        """The function as it is."""
+        return function

@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stick and slip: one step of the model with dry friction in it.
+
+Dry friction has no derivative at rest, so each joint is at every moment in one of two states.
+It slides in a direction that is known, and friction is a smooth torque; or it sticks, and its
+row is taken out like that of a locked joint, so that its velocity stays exactly zero for as long
+as the torque it must bear is below the level of friction. A step runs with the states of its
+start. Where one of them ends inside the step (a velocity changes sign, a torque exceeds its
+level), the moment is located by an Illinois iteration on the step itself, and the rest of the
+step goes on from there with new states. So the order of the Runge-Kutta step survives reversals.
+"""
+
+from __future__ import annotations
+
+from .backend import inlined
+from .kernel import (LOCKED, STILL, constant_level, effect_torques, has_bristle,
+                     library_trigonometry, remove_rows, rigid_body, rk4_step, sliding_level, solve)
+
+#: changes of contact that are located inside one step; more than that is chatter, see below
+_CHANGES = 12
+_ITERATIONS = 60
+#: a change is located to this share of the step
+_RESOLUTION = 1e-12
+
+
+@inlined
+def slip_direction(j, locked, w, p):
+    """Direction in which joint j slides against dry friction: +1, -1, or 0 where it does not."""
+    if locked != 0.0 or w == 0.0 or has_bristle(j, p):
+        return 0.0
+    return 1.0 if w > 0.0 else -1.0
+
+
+@inlined
+def sliding(s1, s2, s3, p):
+    """The kernel's `slip` for the three directions."""
+    return (s1, s2, s3,
+            s1 * constant_level(0, s1, p) if s1 != 0.0 else 0.0,
+            s2 * constant_level(1, s2, p) if s2 != 0.0 else 0.0,
+            s3 * constant_level(2, s3, p) if s3 != 0.0 else 0.0)
+
+
+@inlined
+def may_stick(j, locked, w, p):
+    """1.0 for a joint at rest that has dry friction to hold it."""
+    if locked != 0.0 or w != 0.0 or has_bristle(j, p):
+        return 0.0
+    held = sliding_level(j, 1.0, 0.0, p) > 0.0 or sliding_level(j, -1.0, 0.0, p) > 0.0
+    return 1.0 if held else 0.0
+
+
+@inlined
+def overload(j, sticks, torque, p):
+    """Torque [N.m] by which a sticking joint is pushed beyond its level; negative while held."""
+    if sticks == 0.0:
+        return -1.0
+    direction = 1.0 if torque > 0.0 else -1.0
+    return abs(torque) - sliding_level(j, direction, 0.0, p)
+
+
+@inlined
+def free_system(x, slip, body, drive, active, p):
+    """M and b of the arm with friction on its sliding joints only (see `kernel.rigid_body`)."""
+    q1, q2, q3, w1, w2, w3, i1, i2, i3 = x
+    _, _, _, n1, h1, _, _, _, n2, h2, _, _, _, n3, h3 = drive
+    t1, t2, t3 = effect_torques(q1, q2, q3, w1, w2, w3, n1 * i1 - h1 * w1, n2 * i2 - h2 * w2,
+                                n3 * i3 - h3 * w3, active, p, slip, STILL)
+    return rigid_body(w1, w2, w3, t1, t2, t3, library_trigonometry(q2, q3), body)
+
+
+@inlined
+def borne_torques(m11, m12, m13, m22, m23, m33, b1, b2, b3, lock):
+    """Torques [N.m] that push each joint while the locked ones do not accelerate freely."""
+    n = remove_rows(m11, m12, m13, m22, m23, m33, b1, b2, b3, lock)
+    a1, a2, a3 = solve(n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7], n[8])
+    return (b1 - m11 * a1 - m12 * a2 - m13 * a3,
+            b2 - m12 * a1 - m22 * a2 - m23 * a3,
+            b3 - m13 * a1 - m23 * a2 - m33 * a3)
+
+
+@inlined
+def contact(x, body, drive, active, p, lock):
+    """Which joints stick and where the others slide: (lock with sticking joints, slip).
+
+    All joints at rest stick at first; the one pushed furthest beyond its level is let go, the
+    torques are taken again, and so on.
+    """
+    _, _, _, w1, w2, w3, _, _, _ = x
+    l1, l2, l3, a1, a2, a3 = lock
+    s1 = slip_direction(0, l1, w1, p)
+    s2 = slip_direction(1, l2, w2, p)
+    s3 = slip_direction(2, l3, w3, p)
+    k1 = may_stick(0, l1, w1, p)
+    k2 = may_stick(1, l2, w2, p)
+    k3 = may_stick(2, l3, w3, p)
+    if k1 + k2 + k3 > 0.0:
+        m11, m12, m13, m22, m23, m33, b1, b2, b3 = free_system(
+            x, sliding(s1, s2, s3, p), body, drive, active, p)
+        for _ in range(3):
+            d1, d2, d3 = borne_torques(m11, m12, m13, m22, m23, m33, b1, b2, b3,
+                                       (l1 + k1, l2 + k2, l3 + k3, a1, a2, a3))
+            o1 = overload(0, k1, d1, p)
+            o2 = overload(1, k2, d2, p)
+            o3 = overload(2, k3, d3, p)
+            if o1 <= 0.0 and o2 <= 0.0 and o3 <= 0.0:
+                break
+            if o1 >= o2 and o1 >= o3:
+                k1 = 0.0
+                s1 = 1.0 if d1 > 0.0 else -1.0
+                b1 -= s1 * sliding_level(0, s1, 0.0, p)
+            elif o2 >= o3:
+                k2 = 0.0
+                s2 = 1.0 if d2 > 0.0 else -1.0
+                b2 -= s2 * sliding_level(1, s2, 0.0, p)
+            else:
+                k3 = 0.0
+                s3 = 1.0 if d3 > 0.0 else -1.0
+                b3 -= s3 * sliding_level(2, s3, 0.0, p)
+    return (l1 + k1, l2 + k2, l3 + k3, a1, a2, a3), sliding(s1, s2, s3, p)
+
+
+@inlined
+def margin(x, body, drive, active, p, lock, held, slip):
+    """How far the state is from the end of its contact: negative once it has ended.
+
+    The smallest of: velocity along the direction of sliding [rad/s], level less torque of a
+    sticking joint [N.m].
+    """
+    least = 1e300
+    for j in range(3):
+        if slip[j] != 0.0:
+            least = min(least, slip[j] * x[3 + j])
+    k1 = held[0] - lock[0]
+    k2 = held[1] - lock[1]
+    k3 = held[2] - lock[2]
+    if k1 + k2 + k3 > 0.0:
+        m11, m12, m13, m22, m23, m33, b1, b2, b3 = free_system(x, slip, body, drive, active, p)
+        d1, d2, d3 = borne_torques(m11, m12, m13, m22, m23, m33, b1, b2, b3, held)
+        if k1 != 0.0:
+            least = min(least, -overload(0, k1, d1, p))
+        if k2 != 0.0:
+            least = min(least, -overload(1, k2, d2, p))
+        if k3 != 0.0:
+            least = min(least, -overload(2, k3, d3, p))
+    return least
+
+
+@inlined
+def halt(x, slip):
+    """The state with the velocity of each joint that has passed through rest set to zero."""
+    q1, q2, q3, w1, w2, w3, i1, i2, i3 = x
+    if slip[0] * w1 < 0.0:
+        w1 = 0.0
+    if slip[1] * w2 < 0.0:
+        w2 = 0.0
+    if slip[2] * w3 < 0.0:
+        w3 = 0.0
+    return q1, q2, q3, w1, w2, w3, i1, i2, i3
+
+
+@inlined
+def contact_step(x, z, v, h, body, drive, active, p, lock):
+    """State and bristles after `h` seconds with dry friction; arguments as `kernel.rk4_step`.
+
+    Most steps slide all through, and cost no more than a look at the signs. Should the contact change more than a dozen times within one step (joints that chatter
+    against each other), the rest of that step is taken in one go, and a joint that reverses in
+    it is stopped at its end.
+    """
+    if x[3] != 0.0 and x[4] != 0.0 and x[5] != 0.0:
+        slip = sliding(slip_direction(0, lock[0], x[3], p), slip_direction(1, lock[1], x[4], p),
+                       slip_direction(2, lock[2], x[5], p), p)
+        y, z_end = rk4_step(x, z, v, h, body, drive, active, p, lock, slip)
+        if slip[0] * y[3] >= 0.0 and slip[1] * y[4] >= 0.0 and slip[2] * y[5] >= 0.0:
+            return y, z_end
+    return changing_step(x, z, v, h, body, drive, active, p, lock)
+
+
+@inlined
+def changing_step(x, z, v, h, body, drive, active, p, lock):
+    """`contact_step` where a joint is at rest, or reverses: contacts are found and followed."""
+    left = h
+    y, z_end = x, z
+    for _ in range(_CHANGES):
+        held, slip = contact(x, body, drive, active, p, lock)
+        stages = active
+        if held[0] + held[1] + held[2] > 0.0:
+            stages = active | LOCKED
+        y, z_end = rk4_step(x, z, v, left, body, drive, stages, p, held, slip)
+        g_high = margin(y, body, drive, active, p, lock, held, slip)
+        if not g_high < 0.0:
+            return y, z_end
+        low, high = 0.0, left
+        g_low = max(margin(x, body, drive, active, p, lock, held, slip), 0.0)
+        y = halt(y, slip)
+        side = 0
+        for _ in range(_ITERATIONS):
+            if high - low <= _RESOLUTION * h:
+                break
+            middle = 0.5 * (low + high)
+            if g_low > 0.0:
+                middle = low + (high - low) * g_low / (g_low - g_high)
+                if not low < middle < high:
+                    break
+            y_middle, z_middle = rk4_step(x, z, v, middle, body, drive, stages, p, held, slip)
+            g = margin(y_middle, body, drive, active, p, lock, held, slip)
+            if g < 0.0:
+                high, g_high = middle, g
+                if side < 0:
+                    g_low *= 0.5
+                side = -1
+                y, z_end = halt(y_middle, slip), z_middle
+            else:
+                low, g_low = middle, g
+                if side > 0:
+                    g_high *= 0.5
+                side = 1
+        x, z = y, z_end
+        left -= high
+        if left <= _RESOLUTION * h:
+            return x, z
+    held, slip = contact(x, body, drive, active, p, lock)
+    stages = active
+    if held[0] + held[1] + held[2] > 0.0:
+        stages = active | LOCKED
+    y, z_end = rk4_step(x, z, v, left, body, drive, stages, p, held, slip)
+    return halt(y, slip), z_end

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Controllers, and the setpoints that they follow."""

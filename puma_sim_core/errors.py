@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Errors that users meet: each names what is wrong, where it stands and what was expected."""
+
+from __future__ import annotations
+
+
+class PumaSimError(ValueError):
+    """Base of all errors of the package; its text is ``WHERE: WHAT; expected EXPECTED``.
+
+    Parameters
+    ----------
+    what : what is wrong, with the offending value.
+    where : the file, row, key, topic or step at which it stands.
+    expected : what would have been right.
+    """
+
+    def __init__(self, what: str, *, where: object = None, expected: str | None = None):
+        self.what, self.where, self.expected = what, where, expected
+        text = what if where is None else f"{where}: {what}"
+        super().__init__(text if expected is None else f"{text}; expected {expected}")
+
+
+class ParameterError(PumaSimError):
+    """A parameter of the arm, an effect, a session or an option is not usable."""
+
+
+class ModelError(PumaSimError):
+    """A model file or record cannot be rebuilt by this version."""
+
+
+class RecordingError(PumaSimError):
+    """A table of voltages or of measurements is not usable."""
+
+
+class CommandError(PumaSimError):
+    """A command was refused; the last good one stays in force."""
+
+
+class LimitError(PumaSimError):
+    """A joint left its range or exceeded its greatest velocity or acceleration."""
+
+
+class BagError(PumaSimError):
+    """A bag cannot be written, read, recovered or replayed."""
+
+
+class NonFiniteStateError(PumaSimError):
+    """The state stopped being finite. ``step`` is the step that made it so."""
+
+    def __init__(self, step: int, what: str = "the state is no longer finite"):
+        self.step = step
+        super().__init__(what, where=f"step {step}", expected="finite positions, velocities, currents")

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files that appear complete or not at all, and YAML with each key once."""
+
+from __future__ import annotations
+
+import os
+import re
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TextIO
+
+import yaml
+
+from .errors import ParameterError, PumaSimError
+
+
+@contextmanager
+def whole_file(path: str | os.PathLike, error: type[PumaSimError]) -> Iterator[TextIO]:
+    """A text file to write; it takes the place of `path` when the block ends without an error.
+
+    Raises
+    ------
+    error : the folder is missing or cannot be written, or the disk is full; names the path.
+    """
+    path = Path(path)
+    try:
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        try:
+            with os.fdopen(handle, "w", encoding="utf-8", newline="") as file:
+                yield file
+            # mkstemp makes a file for its owner alone; give it what open() would have given
+            mask = os.umask(0)
+            os.umask(mask)
+            os.chmod(temporary, 0o666 & ~mask)
+            os.replace(temporary, path)
+        except BaseException:
+            os.unlink(temporary)
+            raise
+    except OSError as reason:
+        raise error(f"cannot be written ({reason.strerror})", where=str(path),
+                    expected="a path in a folder that can be written") from None
+
+
+class _StrictLoader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):
+    """Safe loader that refuses repeated keys and reads 2e-4 as the number that YAML 1.2 has."""
+
+    def construct_mapping(self, node, deep=False):
+        seen = set()
+        for key_node, _ in node.value:
+            key = self.construct_object(key_node, deep=True)
+            if isinstance(key, str) and key in seen:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"key '{key}' stands twice", key_node.start_mark)
+            seen.add(key if isinstance(key, str) else None)
+        return super().construct_mapping(node, deep=deep)
+
+
+_StrictLoader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
+    list("-+.0123456789"))
+
+
+def parse_yaml(text: str, where: str, error: type[PumaSimError] = ParameterError):
+    """Content of a YAML text; `where` names it in errors.
+
+    Raises
+    ------
+    error : not YAML, or a key twice; names the line.
+    """
+    try:
+        return yaml.load(text, Loader=_StrictLoader)
+    except yaml.YAMLError as reason:
+        mark = getattr(reason, "problem_mark", None)
+        line = "" if mark is None else f", line {mark.line + 1}"
+        what = getattr(reason, "problem", None) or str(reason)
+        raise error(f"not usable as YAML ({what})", where=f"{where}{line}",
+                    expected="YAML with each key once") from None
+
+
+def read_yaml(path: str | os.PathLike, error: type[PumaSimError] = ParameterError):
+    """Content of a YAML file.
+
+    Raises
+    ------
+    error : the file cannot be read, is not YAML, or has a key twice; names the line.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as reason:
+        raise error(f"cannot be read ({reason})", where=str(path),
+                    expected="a readable YAML file") from None
+    return parse_yaml(text, str(path), error)
+
+
+def yaml_text(mapping: Mapping) -> str:
+    """YAML of a mapping of plain types, keys in their order; the same mapping, the same bytes."""
+    return yaml.safe_dump(dict(mapping), sort_keys=False, allow_unicode=True, width=100)
+
+
+def write_yaml(mapping: Mapping, path: str | os.PathLike,
+               error: type[PumaSimError] = ParameterError) -> None:
+    """Write a mapping of plain types; raises `error` as `whole_file` does."""
+    with whole_file(path, error) as file:
+        file.write(yaml_text(mapping))

@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A plant: an arm and the effects that act on it, and the file that holds both.
+
+A model file is YAML: ``format``, ``version`` of the package that wrote it, ``torque_form``,
+``parameters`` (the name of a published set, or a whole parameter file inlined) and ``effects``,
+each ``{name: ..., joint: ..., PARAMETER: {value: ..., unit: ...}}``.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+from . import __version__
+from .effects import KINDS, Effect, active_stages, check_distinct, pack
+from .effects.friction import VISCOUS
+from .errors import ModelError, ParameterError
+from .files import read_yaml, write_yaml
+from .parameters import ArmParameters, from_mapping, load_parameters, to_mapping
+from .rigid_body import Lumps, lumped_constants
+
+MODEL_FORMAT = "puma-sim model 1"
+#: equation 5.2 as physics has it, F = N kt i, and as it is printed, F = kt i
+TORQUE_FORMS = ("physical", "printed")
+
+
+class KernelConstants(NamedTuple):
+    """What the kernel needs of a plant, in the order of its arguments (see `kernel`)."""
+
+    body: Lumps
+    drive: tuple[float, ...]
+    active: int
+    table: list[float]
+
+
+@dataclass(frozen=True)
+class Plant:
+    """An arm with effects.
+
+    Attributes
+    ----------
+    arm : masses, lengths, motors.
+    effects : what acts beyond the thesis's model; each kind once a joint.
+    torque_form : "physical" or "printed" (equation 5.2; only with the printed form, or with
+        open-circuit motors, does the arm fall as in plot 7.3).
+
+    Raises
+    ------
+    ParameterError : an effect twice, or an unknown torque form.
+    """
+
+    arm: ArmParameters
+    effects: tuple[Effect, ...] = ()
+    torque_form: str = "physical"
+
+    def __post_init__(self):
+        if self.torque_form not in TORQUE_FORMS:
+            raise ParameterError(f"torque_form '{self.torque_form}'",
+                                 expected=" or ".join(TORQUE_FORMS))
+        effects = tuple(effect.on(self.arm) for effect in self.effects)
+        check_distinct(effects)
+        object.__setattr__(self, "effects", effects)
+
+    @classmethod
+    def of(cls, name_or_path: str = "bejczy", effects: Iterable[Effect] = (),
+           torque_form: str = "physical") -> Plant:
+        """Plant from a published set or a parameter file; raises ParameterError."""
+        return cls(load_parameters(name_or_path), tuple(effects), torque_form)
+
+    @cached_property
+    def loaded_arm(self) -> ArmParameters:
+        """The arm with its loads attached."""
+        arm = self.arm
+        for effect in self.effects:
+            if effect.kind.load is not None:
+                arm = effect.kind.load(arm, effect.values)
+        return arm
+
+    @cached_property
+    def torque_per_ampere(self) -> tuple[float, float, float]:
+        """Torque at the joints per motor current, kT [N.m/A]; equation 5.2."""
+        return tuple(m.torque_constant * (m.gear_ratio if self.torque_form == "physical" else 1.0)
+                     for m in self.arm.motors)
+
+    @cached_property
+    def viscous_friction(self) -> tuple[float, float, float]:
+        """Viscous friction at the joints, H [N.m.s/rad]."""
+        found = {e.joint: e.values["coefficient"] for e in self.effects if e.kind is VISCOUS}
+        return tuple(found.get(joint, 0.0) for joint in (1, 2, 3))
+
+    @cached_property
+    def constants(self) -> KernelConstants:
+        """The kernel's arguments for this plant."""
+        drive = []
+        for motor, kT, H in zip(self.arm.motors, self.torque_per_ampere, self.viscous_friction):
+            drive += [1.0 / motor.inductance, motor.resistance,
+                      motor.back_emf * motor.gear_ratio, kT, H]
+        body = Lumps(*(float(value) for value in lumped_constants(self.loaded_arm)))
+        return KernelConstants(body, tuple(drive), active_stages(self.effects),
+                               pack(self.effects))
+
+    def to_mapping(self) -> dict:
+        """Plain values of a model file; every digit is kept."""
+        return {"format": MODEL_FORMAT, "version": __version__, "torque_form": self.torque_form,
+                "parameters": to_mapping(self.arm),
+                "effects": [_effect_mapping(effect) for effect in self.effects]}
+
+    @classmethod
+    def from_mapping(cls, mapping: Mapping, where: str | None = None) -> Plant:
+        """The inverse of `to_mapping`.
+
+        Raises
+        ------
+        ModelError : a format, effect or key that this version does not know.
+        ParameterError : a number that is not usable.
+        """
+        if not isinstance(mapping, Mapping) or "format" not in mapping:
+            raise ModelError("no model", where=where,
+                             expected=f"a mapping with format: {MODEL_FORMAT}")
+        if mapping["format"] != MODEL_FORMAT:
+            raise ModelError(f"format '{mapping['format']}'", where=where,
+                             expected=f"'{MODEL_FORMAT}', which version {__version__} reads")
+        known = ("format", "version", "torque_form", "parameters", "effects")
+        for key in mapping:
+            if key not in known:
+                raise ModelError(f"unknown key '{key}'", where=where,
+                                 expected=f"one of {', '.join(known)}")
+        if "parameters" not in mapping:
+            raise ModelError("'parameters' is missing", where=where,
+                             expected="the name of a set, or its numbers")
+        source = mapping["parameters"]
+        arm = (load_parameters(source) if isinstance(source, str)
+               else from_mapping(source, where and f"{where}: parameters"))
+        effects = mapping.get("effects") or []
+        if not isinstance(effects, list):
+            raise ModelError(f"effects: {effects!r}", where=where, expected="a list")
+        try:
+            return cls(arm, tuple(_effect_of(entry) for entry in effects),
+                       mapping.get("torque_form", "physical"))
+        except ParameterError as error:
+            raise ModelError(error.what, where=" ".join(filter(None, (where, error.where))),
+                             expected=error.expected) from None
+
+
+def _effect_mapping(effect: Effect) -> dict:
+    units = {p.name: p.unit for p in effect.kind.parameters}
+    joint = {} if effect.joint is None else {"joint": effect.joint}
+    return {"name": effect.kind.name, **joint,
+            **{name: {"value": value, "unit": units[name]}
+               for name, value in effect.values.items()}}
+
+
+def _effect_of(entry) -> Effect:
+    """The effect of one entry of a model file."""
+    if not isinstance(entry, Mapping) or "name" not in entry:
+        raise ParameterError(f"{entry!r}", where="effects",
+                             expected="{name: ..., joint: ..., PARAMETER: {value, unit}}")
+    name = entry["name"]
+    if name not in KINDS:
+        raise ParameterError(f"unknown effect '{name}'", where="effects",
+                             expected=f"one of {', '.join(KINDS)}")
+    units = {p.name: p.unit for p in KINDS[name].parameters}
+    values = {}
+    for key, value in entry.items():
+        if key in ("name", "joint"):
+            continue
+        if isinstance(value, Mapping):
+            if set(value) != {"value", "unit"} or value["unit"] != units.get(key, value["unit"]):
+                raise ParameterError(f"{key}: {dict(value)!r}", where=f"effect {name}",
+                                     expected=f"{{value: ..., unit: {units.get(key)}}}")
+            value = value["value"]
+        values[key] = value
+    return Effect(KINDS[name], entry.get("joint"), values)
+
+
+def load_model(path: str | os.PathLike) -> Plant:
+    """Read a model file; raises ModelError or ParameterError naming the file and the key."""
+    return Plant.from_mapping(read_yaml(path, ModelError), str(path))
+
+
+def dump_model(plant: Plant, path: str | os.PathLike) -> None:
+    """Write a model file that loads to an equal plant; complete or not at all."""
+    write_yaml(plant.to_mapping(), path, ModelError)

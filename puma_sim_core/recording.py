@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a run gives: times, voltages and states, and their CSV form.
+
+Columns: ``time`` [s], ``voltage1..3`` [V], and, in the output of a run, ``position1..3`` [rad],
+``velocity1..3`` [rad/s], ``current1..3`` [A]. The voltages of a row hold until the next row; the
+state of a row is the state at its time. Numbers are written with every digit, so that a file
+reads back to the same bits.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from .errors import RecordingError
+from .files import whole_file
+
+#: groups of three columns, in the order of a file, with the attribute that holds each
+GROUPS = ("voltage", "setpoint", "position", "velocity", "current")
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Synchronous samples of a run.
+
+    time (n,) [s]; voltage (n, 3) [V]; position (n, 3) [rad]; velocity (n, 3) [rad/s]; current
+    (n, 3) [A]; setpoint (n, 3) [rad]; acceleration (n, 3) [rad/s^2]. All but the first are None
+    where the recording has none of them; acceleration has no columns in a file.
+    """
+
+    time: np.ndarray
+    voltage: np.ndarray | None = None
+    position: np.ndarray | None = None
+    velocity: np.ndarray | None = None
+    current: np.ndarray | None = None
+    setpoint: np.ndarray | None = None
+    acceleration: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def columns(self) -> Iterator[tuple[str, np.ndarray]]:
+        """(name, values) of each column of the file."""
+        yield "time", self.time
+        for group in GROUPS:
+            values = getattr(self, group)
+            if values is not None:
+                for j in range(values.shape[1]):
+                    yield f"{group}{j + 1}", values[:, j]
+
+
+def write_csv(recording: Recording, path: str | os.PathLike) -> None:
+    """Write a recording; the file appears complete or not at all.
+
+    Raises
+    ------
+    RecordingError : the file cannot be written.
+    """
+    names, columns = zip(*recording.columns())
+    with whole_file(path, RecordingError) as file:
+        file.write(",".join(names) + "\n")
+        for row in np.column_stack(columns).tolist():
+            file.write(",".join(map(repr, row)) + "\n")
+
+
+def read_csv(path: str | os.PathLike, required: Sequence[str] = ("voltage",),
+             optional: Sequence[str] = ()) -> Recording:
+    """Read a recording with the groups of columns that are asked for.
+
+    Lines that begin with '#' are skipped. Columns may stand in any order.
+
+    Raises
+    ------
+    RecordingError : the file cannot be read, is empty, lacks a column, has an unknown or repeated
+        one, a text in a number, a number that is not finite, a row that is cut off, or times that
+        do not increase; names the file, the line and the column.
+    """
+    path = Path(path)
+    try:
+        with open(path, encoding="utf-8-sig", newline="") as file:
+            return _read(file, path, tuple(required), tuple(optional))
+    except OSError as error:
+        raise RecordingError(f"cannot be read ({error.strerror})", where=str(path),
+                             expected="a CSV file") from None
+    except UnicodeDecodeError:
+        raise RecordingError("is not text", where=str(path), expected="a CSV file") from None
+
+
+def _read(file, path, required, optional) -> Recording:
+    numbered = ((n, line) for n, line in enumerate(file, start=1)
+                if line.strip() and not line.lstrip().startswith("#"))
+    first = next(numbered, None)
+    if first is None:
+        raise RecordingError("is empty", where=str(path), expected="a line of column names")
+    names = [name.strip() for name in next(csv.reader([first[1]]))]
+    _check_names(names, path, first[0], required, optional)
+    rows, lines = [], []
+    for number, line in numbered:
+        rows.append(_row(line, names, path, number))
+        lines.append(number)
+    if not rows:
+        raise RecordingError("has no rows", where=str(path), expected="at least one row of numbers")
+    table = np.array(rows, dtype=float)
+    time = table[:, names.index("time")]
+    backward = np.flatnonzero(np.diff(time) <= 0.0)
+    if backward.size:
+        r = int(backward[0]) + 1
+        raise RecordingError(f"time {time[r]:.9g} after {time[r - 1]:.9g}",
+                             where=f"{path}, line {lines[r]}, column time",
+                             expected="times that increase")
+    groups = {}
+    for group in (*required, *optional):
+        columns = [f"{group}{j}" for j in (1, 2, 3)]
+        if columns[0] in names:
+            groups[group] = table[:, [names.index(column) for column in columns]]
+    return Recording(time=time.copy(), **groups)
+
+
+def _check_names(names, path, line, required, optional) -> None:
+    where = f"{path}, line {line}"
+    wanted = ["time"] + [f"{group}{j}" for group in required for j in (1, 2, 3)]
+    allowed = wanted + [f"{group}{j}" for group in optional for j in (1, 2, 3)]
+    for name in names:
+        if name not in allowed:
+            raise RecordingError(f"unknown column '{name}'", where=where,
+                                 expected=f"columns among {', '.join(allowed)}")
+        if names.count(name) > 1:
+            raise RecordingError(f"column '{name}' stands twice", where=where,
+                                 expected="each column once")
+    for name in wanted:
+        if name not in names:
+            raise RecordingError(f"column '{name}' is missing", where=where,
+                                 expected=f"the columns {', '.join(wanted)}")
+    for group in optional:
+        have = [j for j in (1, 2, 3) if f"{group}{j}" in names]
+        if have and len(have) < 3:
+            raise RecordingError(f"only {len(have)} of the columns {group}1..3", where=where,
+                                 expected="all three or none")
+
+
+def _row(line, names, path, number) -> list[float]:
+    fields = next(csv.reader([line]))
+    if len(fields) != len(names):
+        raise RecordingError(f"{len(fields)} fields", where=f"{path}, line {number}",
+                             expected=f"{len(names)} numbers, one a column")
+    row = []
+    for name, field in zip(names, fields):
+        try:
+            value = float(field)
+        except ValueError:
+            raise RecordingError(f"'{field.strip()}'", where=f"{path}, line {number}, column {name}",
+                                 expected="a number") from None
+        if not math.isfinite(value):
+            raise RecordingError(f"{field.strip()}", where=f"{path}, line {number}, column {name}",
+                                 expected="a finite number")
+        row.append(value)
+    return row
+

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A bag given back to the topics that it was recorded from, at its own pace or another."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import rclpy
+
+from puma_sim_core.bag import iterate_messages
+from puma_sim_core.errors import BagError, PumaSimError
+
+from .messages import qos
+
+#: endings of the topics on which a simulator listens
+_COMMANDS = ("/voltage_controller/commands", "/position_controller/commands", "/joint_commands")
+_LATCHED = ("/sim_node/model", "/robot_description")
+#: time for publishers and subscribers to find each other [s]
+_DISCOVERY = 1.0
+
+
+def _message_type(name: str, topic: str):
+    """The Python class of a message type such as ``std_msgs/msg/String``."""
+    package, _, kind = name.split("/")
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), kind)
+    except (ImportError, AttributeError) as error:
+        raise BagError(f"type {name} is not installed", where=f"topic {topic}",
+                       expected="a message type of this ROS installation") from error
+
+
+def publish_bag(path: str | Path, *, rate: float = 1.0, commands_only: bool | None = None) -> int:
+    """Publish the messages of a bag at their times; returns how many.
+
+    Parameters
+    ----------
+    path : a closed bag, the directory or the MCAP file.
+    rate : simulated seconds for each second of the wall clock, above zero.
+    commands_only : leave out what a simulator publishes. By default that is done where a
+        simulator is there, publishing ``joint_states``: two of them would mix on one topic.
+
+    Raises
+    ------
+    BagError : no bag of which all can be read; nothing is published then.
+    """
+    if not 0.0 < rate < float("inf"):
+        raise BagError(f"rate {rate}", where=path, expected="a finite number above 0")
+    recorded = list(iterate_messages(path))
+    rclpy.init()
+    node = rclpy.create_node("bag_publisher")
+    try:
+        publishers = {}
+        for message in recorded:
+            topic = message.topic
+            if topic not in publishers:
+                latched = topic.endswith(_LATCHED)
+                publishers[topic] = node.create_publisher(
+                    _message_type(message.type, topic), topic, qos(10, latched=latched))
+        time.sleep(_DISCOVERY)
+        if commands_only is None:
+            commands_only = any(node.count_publishers(topic) > 1 for topic in publishers
+                                if topic.endswith("/joint_states"))
+            if commands_only:
+                node.get_logger().info("a simulator is running: only the commands are published")
+        if commands_only:
+            recorded = [m for m in recorded if m.topic.endswith(_COMMANDS)]
+        start = time.monotonic()
+        for message in recorded:
+            delay = start + message.time_ns * 1e-9 / rate - time.monotonic()
+            if delay > 0.0:
+                time.sleep(delay)
+            # bytes go out as they are: what is received is what was recorded
+            publishers[message.topic].publish(message.data)
+        for publisher in publishers.values():
+            publisher.wait_for_all_acked(rclpy.duration.Duration(seconds=1))
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+    return len(recorded)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Command line of the module; returns the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("bag", type=Path)
+    parser.add_argument("--rate", type=float, default=1.0,
+                        help="simulated seconds for each second of the wall clock")
+    parser.add_argument("--commands-only", action="store_true", default=None,
+                        help="leave out what a simulator publishes")
+    options = parser.parse_args(args)
+    try:
+        count = publish_bag(options.bag, rate=options.rate, commands_only=options.commands_only)
+    except PumaSimError as error:
+        print(f"bag_publisher: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    print(f"{count} messages published")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""Packaging for pip and for colcon (build type ament_python); all metadata stands here."""
+
+from pathlib import Path
+import re
+
+from setuptools import find_packages, setup
+
+NAME = "puma_sim_ros"  # colcon and `ros2 run` want the <name> of package.xml
+ROOT = Path(__file__).resolve().parent
+
+# read, not imported: the build environment has none of the run-time dependencies
+VERSION = re.search(
+    r'^__version__ = "([^"]+)"$',
+    (ROOT / "puma_sim_core" / "__init__.py").read_text(encoding="utf-8"),
+    re.MULTILINE,
+).group(1)
+
+README = ROOT / "README.md"
+
+CONFIG_FILES = sorted((ROOT / "config").rglob("*.yaml"))
+
+
+def _share_files():
+    """(installed folder, files) of config/, one entry for each of its folders."""
+    folders = {}
+    for path in CONFIG_FILES:
+        relative = path.relative_to(ROOT)
+        folders.setdefault(f"share/{NAME}/{relative.parent.as_posix()}", []).append(
+            relative.as_posix())
+    return sorted(folders.items())
+
+
+setup(
+    name=NAME,
+    version=VERSION,
+    description="The PUMA 560's first three joints with their DC motors, simulated, as a ROS 2 "
+                "node and as a Python library",
+    long_description=README.read_text(encoding="utf-8") if README.exists() else "",
+    long_description_content_type="text/markdown",
+    author="puma-sim maintainers",
+    author_email="maintainers@puma-sim.example",
+    maintainer="puma-sim maintainers",
+    maintainer_email="maintainers@puma-sim.example",
+    license="Apache-2.0",
+    license_files=["LICENSE"],
+    keywords=["robotics", "simulation", "PUMA 560", "manipulator", "ROS 2"],
+    classifiers=[
+        "Intended Audience :: Science/Research",
+        "Operating System :: POSIX :: Linux",
+        "Programming Language :: Python :: 3",
+        "Topic :: Scientific/Engineering",
+    ],
+    python_requires=">=3.10",
+    # config/ stands at the top of the source tree and is installed inside puma_sim_core, where
+    # puma_sim_core.resources looks for it
+    packages=[*find_packages(include=["puma_sim_core*", "puma_sim_ros*"]), "puma_sim_core.config"],
+    package_dir={"puma_sim_core.config": "config"},
+    package_data={
+        "puma_sim_core.config": [
+            path.relative_to(ROOT / "config").as_posix() for path in CONFIG_FILES],
+    },
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        *_share_files(),
+    ],
+    zip_safe=False,
+    install_requires=["numpy>=1.26", "scipy", "PyYAML", "mcap", "rosbags"],
+    extras_require={
+        "fast": ["numba"],
+        "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
+        "plot": ["matplotlib"],
+        "test": [
+            "pytest",
+            "pytest-timeout",
+            "hypothesis",
+            "jsonschema",
+            "mcap-ros2-support",
+            "mujoco",
+            "catkin-pkg",
+            "setuptools>=64",
+            "wheel",
+        ],
+    },
+    entry_points={
+        "console_scripts": [
+            "puma-sim = puma_sim_core.cli:main",
+            "sim_node = puma_sim_ros.sim_node:main",
+            "external_controller = puma_sim_ros.external_controller:main",
+        ],
+    },
+    # `ros2 run` looks in lib/<package>. colcon calls `setup.py install` or `develop`, which obey
+    # this (also in a virtual environment, where the same lines in setup.cfg would be ignored);
+    # pip makes the scripts from the wheel's entry points and puts them on PATH.
+    options={
+        "develop": {"script_dir": f"$base/lib/{NAME}"},
+        "install": {"install_scripts": f"$base/lib/{NAME}"},
+    },
+)
