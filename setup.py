@@ -67,7 +67,7 @@ setup(
         *_share_files(),
     ],
     zip_safe=False,
-    install_requires=["numpy>=1.26", "scipy", "PyYAML", "mcap", "rosbags"],
+    install_requires=["numpy>=1.26", "scipy", "PyYAML", "mcap>=1.5", "rosbags>=0.11"],
     extras_require={
         "fast": ["numba"],
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],

@@ -18,7 +18,7 @@ from .errors import ParameterError
 
 _PACKAGE = Path(__file__).resolve().parent
 #: what the compiled kernel is made of; a change of any of them makes an older cache void
-_SOURCES = ("backend.py", "kernel.py", "contact.py", "runs.py", "batch.py", "effects", "control")
+_SOURCES = ("backend.py", "kernel.py", "contact.py", "runs.py", "lanes.py", "effects", "control")
 
 
 def _choose() -> str:
@@ -57,8 +57,9 @@ def _source_digest() -> str:
 def _cache_directory() -> str | None:
     """A writable folder for compiled code, or None: an install without one compiles each time."""
     base = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or "~/.cache"
-    folder = Path(base).expanduser() / "puma_sim" / f"kernel-{_source_digest()}"
     try:
+        # a user without an entry in the password file has no ~
+        folder = Path(base).expanduser() / "puma_sim" / f"kernel-{_source_digest()}"
         folder.mkdir(parents=True, exist_ok=True)
         probe = folder / f".probe-{os.getpid()}"
         probe.touch()
@@ -102,3 +103,9 @@ else:
     def compiled(function):
         """The function as it is."""
         return function
+
+
+def interpreted(function):
+    """The plain Python of a function that is inlined elsewhere, for a caller that is not compiled
+    (a call would compile it, for a second)."""
+    return getattr(function, "py_func", function)

@@ -41,12 +41,23 @@ def sliding(s1, s2, s3, p):
 
 
 @inlined
+def has_dry(j, p):
+    """Whether joint j has dry friction, in one direction at least."""
+    return sliding_level(j, 1.0, 0.0, p) > 0.0 or sliding_level(j, -1.0, 0.0, p) > 0.0
+
+
+@inlined
+def contact_direction(j, locked, w, p):
+    """`slip_direction` of joint j, 0 also where it has no dry friction to slide against."""
+    return slip_direction(j, locked, w, p) if has_dry(j, p) else 0.0
+
+
+@inlined
 def may_stick(j, locked, w, p):
     """1.0 for a joint at rest that has dry friction to hold it."""
     if locked != 0.0 or w != 0.0 or has_bristle(j, p):
         return 0.0
-    held = sliding_level(j, 1.0, 0.0, p) > 0.0 or sliding_level(j, -1.0, 0.0, p) > 0.0
-    return 1.0 if held else 0.0
+    return 1.0 if has_dry(j, p) else 0.0
 
 
 @inlined
@@ -75,48 +86,69 @@ def borne_torques(m11, m12, m13, m22, m23, m33, b1, b2, b3, lock):
     a1, a2, a3 = solve(n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7], n[8])
     return (b1 - m11 * a1 - m12 * a2 - m13 * a3,
             b2 - m12 * a1 - m22 * a2 - m23 * a3,
-            b3 - m13 * a1 - m23 * a2 - m33 * a3)
+            b3 - m13 * a1 - m23 * a2 - m33 * a3, a1, a2, a3)
+
+
+@inlined
+def trial(digit, may):
+    """(sticks, direction) of a joint at rest for a digit: 0 sticks, 1 and 2 let it go."""
+    if may == 0.0:
+        return 0.0, 0.0
+    if digit == 0:
+        return 1.0, 0.0
+    return 0.0, 1.0 if digit == 1 else -1.0
 
 
 @inlined
 def contact(x, body, drive, active, p, lock):
     """Which joints stick and where the others slide: (lock with sticking joints, slip).
 
-    All joints at rest stick at first; the one pushed furthest beyond its level is let go, the
-    torques are taken again, and so on.
+    Each joint at rest either sticks, below its level, or starts in a direction in which it then
+    accelerates. Exactly one combination holds for all three together: M is positive definite,
+    and the accelerations are the minimum of a strictly convex function (Moreau). They are tried
+    in turn, all stuck first. Letting go one joint after the other would not do: where one pulls
+    another loose, a third may have to stop again.
     """
     _, _, _, w1, w2, w3, _, _, _ = x
     l1, l2, l3, a1, a2, a3 = lock
-    s1 = slip_direction(0, l1, w1, p)
-    s2 = slip_direction(1, l2, w2, p)
-    s3 = slip_direction(2, l3, w3, p)
-    k1 = may_stick(0, l1, w1, p)
-    k2 = may_stick(1, l2, w2, p)
-    k3 = may_stick(2, l3, w3, p)
-    if k1 + k2 + k3 > 0.0:
-        m11, m12, m13, m22, m23, m33, b1, b2, b3 = free_system(
-            x, sliding(s1, s2, s3, p), body, drive, active, p)
-        for _ in range(3):
-            d1, d2, d3 = borne_torques(m11, m12, m13, m22, m23, m33, b1, b2, b3,
-                                       (l1 + k1, l2 + k2, l3 + k3, a1, a2, a3))
-            o1 = overload(0, k1, d1, p)
-            o2 = overload(1, k2, d2, p)
-            o3 = overload(2, k3, d3, p)
-            if o1 <= 0.0 and o2 <= 0.0 and o3 <= 0.0:
-                break
-            if o1 >= o2 and o1 >= o3:
-                k1 = 0.0
-                s1 = 1.0 if d1 > 0.0 else -1.0
-                b1 -= s1 * sliding_level(0, s1, 0.0, p)
-            elif o2 >= o3:
-                k2 = 0.0
-                s2 = 1.0 if d2 > 0.0 else -1.0
-                b2 -= s2 * sliding_level(1, s2, 0.0, p)
-            else:
-                k3 = 0.0
-                s3 = 1.0 if d3 > 0.0 else -1.0
-                b3 -= s3 * sliding_level(2, s3, 0.0, p)
-    return (l1 + k1, l2 + k2, l3 + k3, a1, a2, a3), sliding(s1, s2, s3, p)
+    s1 = contact_direction(0, l1, w1, p)
+    s2 = contact_direction(1, l2, w2, p)
+    s3 = contact_direction(2, l3, w3, p)
+    may1 = may_stick(0, l1, w1, p)
+    may2 = may_stick(1, l2, w2, p)
+    may3 = may_stick(2, l3, w3, p)
+    held, slip = lock, sliding(s1, s2, s3, p)
+    if may1 + may2 + may3 > 0.0:
+        m11, m12, m13, m22, m23, m33, b1, b2, b3 = free_system(x, slip, body, drive, active, p)
+        least = 1e300
+        for n in range(27):
+            n1, n2, n3 = n % 3, n // 3 % 3, n // 9
+            if (n1 and may1 == 0.0) or (n2 and may2 == 0.0) or (n3 and may3 == 0.0):
+                continue
+            k1, g1 = trial(n1, may1)
+            k2, g2 = trial(n2, may2)
+            k3, g3 = trial(n3, may3)
+            f1, f2, f3 = starting_levels(g1, g2, g3, p)
+            d1, d2, d3, c1, c2, c3 = borne_torques(
+                m11, m12, m13, m22, m23, m33, b1 - f1, b2 - f2, b3 - f3,
+                (l1 + k1, l2 + k2, l3 + k3, a1, a2, a3))
+            # by how much the combination fails [N.m]; more than 0 for all is rounding only
+            failure = max(overload(0, k1, d1, p), overload(1, k2, d2, p), overload(2, k3, d3, p),
+                          -g1 * c1 * m11, -g2 * c2 * m22, -g3 * c3 * m33)
+            if failure < least:
+                least = failure
+                held = (l1 + k1, l2 + k2, l3 + k3, a1, a2, a3)
+                slip = sliding(s1 + g1, s2 + g2, s3 + g3, p)
+                if failure <= 0.0:
+                    break
+    return held, slip
+
+
+@inlined
+def starting_levels(g1, g2, g3, p):
+    """Friction [N.m], with its sign, of joints at rest that start in these directions."""
+    return (g1 * sliding_level(0, g1, 0.0, p), g2 * sliding_level(1, g2, 0.0, p),
+            g3 * sliding_level(2, g3, 0.0, p))
 
 
 @inlined
@@ -135,7 +167,7 @@ def margin(x, body, drive, active, p, lock, held, slip):
     k3 = held[2] - lock[2]
     if k1 + k2 + k3 > 0.0:
         m11, m12, m13, m22, m23, m33, b1, b2, b3 = free_system(x, slip, body, drive, active, p)
-        d1, d2, d3 = borne_torques(m11, m12, m13, m22, m23, m33, b1, b2, b3, held)
+        d1, d2, d3, _, _, _ = borne_torques(m11, m12, m13, m22, m23, m33, b1, b2, b3, held)
         if k1 != 0.0:
             least = min(least, -overload(0, k1, d1, p))
         if k2 != 0.0:
@@ -162,9 +194,9 @@ def halt(x, slip):
 def contact_step(x, z, v, h, body, drive, active, p, lock):
     """State and bristles after `h` seconds with dry friction; arguments as `kernel.rk4_step`.
 
-    Most steps slide all through, and cost no more than a look at the signs. Should the contact change more than a dozen times within one step (joints that chatter
-    against each other), the rest of that step is taken in one go, and a joint that reverses in
-    it is stopped at its end.
+    Most steps slide all through, and cost no more than a look at the signs. Should the contact
+    change more than a dozen times within one step (joints that chatter against each other), the
+    rest of that step is taken in one go, and a joint that reverses in it is stopped at its end.
     """
     if x[3] != 0.0 and x[4] != 0.0 and x[5] != 0.0:
         slip = sliding(slip_direction(0, lock[0], x[3], p), slip_direction(1, lock[1], x[4], p),

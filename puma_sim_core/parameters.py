@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from .errors import ParameterError
+from .files import read_yaml, write_yaml
 from .resources import config_path
-from .yaml_files import read_yaml, write_yaml
 
 #: greatest distance between poses at which D + Ia is examined [deg]
 _POSE_STEP = 5.0

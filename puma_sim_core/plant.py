@@ -96,8 +96,8 @@ class Plant:
         """The kernel's arguments for this plant."""
         drive = []
         for motor, kT, H in zip(self.arm.motors, self.torque_per_ampere, self.viscous_friction):
-            drive += [1.0 / motor.inductance, motor.resistance,
-                      motor.back_emf * motor.gear_ratio, kT, H]
+            drive += [1.0 / motor.inductance, float(motor.resistance),
+                      float(motor.back_emf * motor.gear_ratio), float(kT), H]
         body = Lumps(*(float(value) for value in lumped_constants(self.loaded_arm)))
         return KernelConstants(body, tuple(drive), active_stages(self.effects),
                                pack(self.effects))
@@ -159,7 +159,7 @@ def _effect_of(entry) -> Effect:
         raise ParameterError(f"{entry!r}", where="effects",
                              expected="{name: ..., joint: ..., PARAMETER: {value, unit}}")
     name = entry["name"]
-    if name not in KINDS:
+    if not isinstance(name, str) or name not in KINDS:
         raise ParameterError(f"unknown effect '{name}'", where="effects",
                              expected=f"one of {', '.join(KINDS)}")
     units = {p.name: p.unit for p in KINDS[name].parameters}

@@ -109,12 +109,16 @@ def run_servo(x, z, setpoints, samples, h, servo, memory, body, drive, active, p
     return -1
 
 
+@compiled
 def servo_memory(setpoint, position, servo):
-    """The memory of a servo at rest for `run_servo`: a list of 3 * MEMORY_WIDTH numbers."""
-    memory = []
-    for j in range(3):
-        memory += servo_at_rest(setpoint[j], position[j], servo, j * SERVO_WIDTH)
-    return memory
+    """The memory of a servo at rest for `run_servo`, 3 * MEMORY_WIDTH numbers.
+
+    setpoint, position : triples [rad]; servo : the table of `ServoConfig`.
+    """
+    total1, before1 = servo_at_rest(setpoint[0], position[0], servo, 0)
+    total2, before2 = servo_at_rest(setpoint[1], position[1], servo, SERVO_WIDTH)
+    total3, before3 = servo_at_rest(setpoint[2], position[2], servo, 2 * SERVO_WIDTH)
+    return total1, before1, total2, before2, total3, before3
 
 
 @compiled

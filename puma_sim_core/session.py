@@ -20,7 +20,7 @@ from .control.servo import ServoConfig
 from .errors import CommandError, ModelError, NonFiniteStateError, ParameterError
 from .plant import Plant
 from .runs import run_servo, run_voltages, servo_memory, terminal_voltages
-from .simulator import _three, check_step, native
+from .simulator import check_step, native, three
 
 SESSION_FORMAT = "puma-sim session 1"
 COMMAND_INTERFACES = ("voltage", "position")
@@ -78,8 +78,10 @@ class SessionConfig:
         if not (isfinite(self.command_timeout) and self.command_timeout >= 0.0):
             raise ParameterError(f"command_timeout {self.command_timeout!r} s",
                                  expected="0 or more")
+        for name in ("period", "voltage_limit", "command_timeout"):
+            object.__setattr__(self, name, float(getattr(self, name)))
         for name in ("initial_position", "initial_velocity", "initial_current"):
-            object.__setattr__(self, name, _three(getattr(self, name), name))
+            object.__setattr__(self, name, three(getattr(self, name), name))
         names = tuple(self.joint_names)
         object.__setattr__(self, "joint_names", names)
         if len(names) != 3 or len(set(names)) != 3 or not all(
@@ -126,7 +128,8 @@ class SessionConfig:
             servo = ServoConfig.from_mapping(values.pop("servo", {}))
             return cls(plant=plant, servo=servo, **values)
         except ParameterError as error:
-            raise ModelError(error.what, where=where, expected=error.expected) from None
+            raise ModelError(error.what, where=" ".join(filter(None, (where, error.where))) or None,
+                             expected=error.expected) from None
         except TypeError as error:
             raise ModelError(str(error), where=where, expected="the keys of a session") from None
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import ceil, isfinite
+from math import isfinite
 
 import numpy as np
 
@@ -57,8 +57,12 @@ class Constraint:
             raise ParameterError(f"value {self.value}", where=where, expected="no value")
         if self.kind == "acceleration" and self.value is None:
             raise ParameterError("no value", where=where, expected="acceleration:RAD_PER_S2")
-        if self.value is not None and not isfinite(self.value):
-            raise ParameterError(f"value {self.value}", where=where, expected="a finite number")
+        if self.value is not None:
+            if isinstance(self.value, (bool, str)) or not isfinite(self.value):
+                raise ParameterError(f"value {self.value}", where=where,
+                                     expected="a finite number")
+            # a whole number here would be compiled as another kernel
+            object.__setattr__(self, "value", float(self.value))
 
     @classmethod
     def parse(cls, text: str) -> Constraint:
@@ -108,7 +112,7 @@ def _symmetric(greatest):
     return None if greatest is None else tuple((-g, g) for g in greatest)
 
 
-def _three(values, name: str) -> tuple[float, float, float]:
+def three(values, name: str) -> tuple[float, float, float]:
     """Three finite floats, or a ParameterError that names them."""
     try:
         result = tuple(float(value) for value in values)
@@ -126,6 +130,15 @@ def check_step(step: float, where: str = "step") -> float:
                              expected=f"more than 0 and at most {GREATEST_STEP * 1e3:g} ms: RK4 is "
                                       "unstable above 8.4 ms with L/R = 3 ms")
     return float(step)
+
+
+def step_counts(duration: np.ndarray, max_step: float) -> np.ndarray:
+    """Steps of integration for each duration [s], of at most `max_step` [s].
+
+    Rounding of the times that a duration is the difference of does not make a step more: a step
+    may exceed max_step by a millionth.
+    """
+    return np.maximum(1, np.ceil(duration / max_step * (1.0 - 1e-6))).astype(np.int64)
 
 
 def native(numbers: Sequence[float]):
@@ -184,8 +197,8 @@ class Simulator:
         ------
         ParameterError : not three finite numbers, or a velocity that contradicts a constraint.
         """
-        position, current = _three(position, "position"), _three(current, "current")
-        given = None if velocity is None else _three(velocity, "velocity")
+        position, current = three(position, "position"), three(current, "current")
+        given = None if velocity is None else three(velocity, "velocity")
         start = list(given or (0.0, 0.0, 0.0))
         for j, c in enumerate(self.constraints):
             fixed = 0.0 if c.kind == "hold" else c.value if c.kind == "velocity" else None
@@ -208,7 +221,7 @@ class Simulator:
         """
         if not isfinite(duration) or duration <= 0.0:
             raise ParameterError(f"duration {duration!r} s", expected="a positive number")
-        volts = _three(voltage, "voltage")
+        volts = three(voltage, "voltage")
         self._advance(np.array([volts]), np.array([float(duration)]))
         self.time += duration
         return self.state
@@ -229,8 +242,12 @@ class Simulator:
         NonFiniteStateError : the state stopped being finite; names the row, keeps the state.
         LimitError : a limit was exceeded and on_limit is "error".
         """
-        time, voltage = _table(time, voltage, "voltage")
-        out = self._advance(voltage[:-1], np.diff(time))
+        time, voltage = table(time, voltage, "voltage")
+        try:
+            out = self._advance(voltage[:-1], np.diff(time))
+        except NonFiniteStateError as error:
+            self.time = float(time[error.step - 1])
+            raise
         self.time = float(time[-1])
         return self._recorded(time, voltage, out, acceleration)
 
@@ -253,18 +270,24 @@ class Simulator:
         setpoint = np.ascontiguousarray(setpoint, dtype=float)
         if setpoint.ndim != 2 or setpoint.shape[1] != 3 or not np.isfinite(setpoint).all():
             raise ParameterError(f"setpoint of shape {setpoint.shape}", expected="(n, 3), finite")
-        h = period / samples
-        substeps = max(1, ceil(h / self.max_step * (1.0 - 1e-12)))
-        if substeps > 1:
+        if not len(setpoint):
+            raise ParameterError("no setpoint", expected="one at least")
+        if isinstance(samples, bool) or not isinstance(samples, int) or samples < 1:
+            raise ParameterError(f"samples {samples!r}", expected="a whole number of at least 1")
+        if not voltage_limit > 0.0:
+            raise ParameterError(f"voltage_limit {voltage_limit!r} V",
+                                 expected="a positive number")
+        h = check_step(period / samples, "period / samples")
+        if step_counts(np.array([h]), self.max_step)[0] > 1:
             raise ParameterError(f"servo sample of {h * 1e3:.6g} ms",
                                  expected=f"at most max_step = {self.max_step * 1e3:.6g} ms")
-        table = native(servo.table(h, voltage_limit,
+        servo_table = native(servo.table(h, voltage_limit,
                                    [m.gear_ratio for m in self.plant.arm.motors]))
-        memory = native(servo_memory(setpoint[0], self.state, table))
+        memory = native(servo_memory(tuple(setpoint[0].tolist()), self.state[:3], servo_table))
         n = len(setpoint) * samples
         out, volts = np.empty((n + 1, 12)), np.zeros((n + 1, 3))
         self._finish(_guarded(run_servo, self.state, self.bristles, _rows(setpoint), samples, h,
-                              table, memory, *self._kernel, out, volts), out)
+                              servo_table, memory, *self._kernel, out, volts), out)
         volts[-1] = volts[-2]
         time = self.time + h * np.arange(n + 1)
         self.time = float(time[-1])
@@ -274,7 +297,7 @@ class Simulator:
 
     def _advance(self, voltage: np.ndarray, duration: np.ndarray) -> np.ndarray:
         """Rows of state and bristles, one more than there are rows of voltage."""
-        counts = np.maximum(1, np.ceil(duration / self.max_step * (1.0 - 1e-12))).astype(np.int64)
+        counts = step_counts(duration, self.max_step)
         out = np.empty((len(duration) + 1, 12))
         self._finish(_guarded(run_voltages, self.state, self.bristles, _rows(voltage),
                               counts if BACKEND == "numba" else counts.tolist(),
@@ -319,7 +342,8 @@ def _guarded(run, *arguments) -> int:
         return int(np.flatnonzero(np.isnan(out[:, 0]))[0])
 
 
-def _table(time, values, name):
+def table(time, values, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) times [s] and (n, 3) values as arrays, or a ParameterError on what they lack."""
     time = np.ascontiguousarray(time, dtype=float)
     values = np.ascontiguousarray(values, dtype=float)
     if time.ndim != 1 or len(time) < 1 or values.shape != (len(time), 3):
@@ -331,7 +355,3 @@ def _table(time, values, name):
     if (np.diff(time) <= 0.0).any():
         raise ParameterError("times that do not increase", expected="increasing times")
     return time, values
-
-
-__all__ = ["CONSTRAINTS", "Constraint", "GREATEST_STEP", "Limits", "SERVO_PERIOD", "Simulator",
-           "check_step"]

@@ -3,8 +3,8 @@
 
 It leads the wrist down a straight vertical line, as in section 7.5 of the thesis: setpoints each
 28 ms, one PID for each joint, volts back to the simulator. Each state that arrives is answered
-by one command, so the same program works in realtime and in lockstep. Copy it and replace
-`control` by your own law.
+by one command, so the same program works in realtime and in lockstep. To try another law, copy
+this file and replace `control`.
 """
 
 from __future__ import annotations
@@ -15,11 +15,13 @@ from array import array
 
 import numpy as np
 import rclpy
+from rcl_interfaces.msg import Parameter as ParameterMessage
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
-from std_srvs.srv import SetBool
 
 from puma_sim_core.control.pid import Pid, PidGains
 from puma_sim_core.control.setpoints import vertical_line
@@ -30,20 +32,21 @@ from puma_sim_core.recording import Recording, write_csv
 from .messages import qos, stamp_ns
 
 PARAMETERS = {
-    "joints": ["joint1", "joint2", "joint3"],
-    "parameter_set": "bejczy",  # of it only the lengths of the links are used
-    "drop": 0.4,  # length of the line [m], downwards
+    "simulator": "sim_node",  # its name
+    "parameter_set": "bejczy",  # of it only the lengths and ranges of the arm are used
+    "drop": 0.25,  # length of the line [m], downwards
     "duration": 6.0,  # time to move along it [s]
     "settle": 0.5,  # time to stay at its end [s]
     "gain": [150.0, 260.0, 135.0],  # Kg [V/rad], three tenths of the ultimate gains at 28 ms
     "integral_time": [0.15, 0.15, 0.15],  # Ti [s]
     "derivative_time": [0.02, 0.02, 0.02],  # Td [s]
-    "voltage_limit": 40.0,  # [V]
-    "period": 0.028,  # of the simulator's states [s]
-    "timeout": 15.0,  # wait for the simulator no longer than this [s]
-    "resume": True,  # start the simulator if it is paused
-    "log_path": "",  # CSV file of time, voltages, setpoints and positions
+    "timeout": 30.0,  # longest wait for an answer of the simulator [s]
+    "log_path": "",  # CSV file to write: time, voltages, setpoints, positions
 }
+
+
+class ControllerError(PumaSimError):
+    """The simulator does not answer, or is not one for this controller."""
 
 
 class ExternalController(Node):
@@ -51,75 +54,108 @@ class ExternalController(Node):
 
     def __init__(self) -> None:
         super().__init__("external_controller")
-        p = {name: self.declare_parameter(name, default).value
-             for name, default in PARAMETERS.items()}
-        self.p = p
-        gains = [PidGains(*row) for row in zip(p["gain"], p["integral_time"],
-                                               p["derivative_time"])]
-        self._pid = Pid(gains, p["period"], limit=p["voltage_limit"])
-        self._arm = load_parameters(p["parameter_set"])
-        self._setpoints = None
-        self._start_ns = self._answered_ns = -1
-        self._answered_at = 0.0
-        self._command = Float64MultiArray()
+        self.p = {name: self.declare_parameter(name, default).value
+                  for name, default in PARAMETERS.items()}
+        self.arm = load_parameters(self.p["parameter_set"])
+        self.gains = [PidGains(*row) for row in zip(
+            self.p["gain"], self.p["integral_time"], self.p["derivative_time"])]
+        self.spinner = SingleThreadedExecutor()
+        self.spinner.add_node(self)
+        self.pid = None
+        self.setpoints = None
         self.rows = []
         self.done = False
+        self.answered_ns, self.answered_at = -1, 0.0
         self.heard_at = time.monotonic()
+        self.command = Float64MultiArray()
         self.publisher = self.create_publisher(Float64MultiArray, "voltage_controller/commands",
                                                qos(10))
-        self.resume = self.create_client(SetBool, "sim_node/pause")
-        self.create_subscription(JointState, "joint_states", self._on_state, qos(10))
+        self.create_subscription(JointState, "joint_states", self.on_state, qos(10))
+        # made last: when the simulator answers it, it has found the two topics before, and no
+        # command is lost
+        self.simulator = AsyncParameterClient(self, self.p["simulator"])
 
-    def ready(self) -> bool:
-        """Whether the simulator listens, so that no command is lost."""
-        return self.publisher.get_subscription_count() > 0
+    def connect(self) -> None:
+        """Ask the simulator for its parameters, and start it if it is paused."""
+        self.wait_until(self.simulator.services_are_ready)
+        names = ["command_interface", "joints", "period", "voltage_limit", "paused"]
+        values = [parameter_value(message) for message in
+                  self.answer(self.simulator.get_parameters(names)).values]
+        interface, self.joints, self.period, limit, paused = values
+        if interface != "voltage":
+            raise ControllerError(f"command_interface is {interface}", where=self.p["simulator"],
+                                  expected="voltage")
+        self.wait_until(lambda: self.publisher.get_subscription_count() > 0)
+        pid = Pid(self.gains, self.period, limit=limit)
+        pid.update(0.0, (0.0,) * 3, (0.0,) * 3)  # numba compiles it at its first use
+        pid.reset()
+        self.pid = pid
+        if paused:
+            self.answer(self.simulator.set_parameters([Parameter("paused", value=False)]))
 
-    def _on_state(self, message: JointState) -> None:
+    def on_state(self, message: JointState) -> None:
+        """Answer a state with a command."""
+        if self.pid is None or self.done:
+            return
         self.heard_at = time.monotonic()
-        if self.done or not self.ready():
-            return
         time_ns = stamp_ns(message.header.stamp)
-        if time_ns == self._answered_ns:
+        if time_ns == self.answered_ns:
             # in lockstep the simulator sends a state again after half a second without an answer
-            if self.heard_at - self._answered_at > 0.25:
-                self.publisher.publish(self._command)
-                self._answered_at = self.heard_at
+            if self.heard_at - self.answered_at > 0.25:
+                self.send()
             return
-        by_name = dict(zip(message.name, message.position))
-        position = [by_name[name] for name in self.p["joints"]]
-        volts = self.control(time_ns, position)
+        position = dict(zip(message.name, message.position))
+        volts = self.control(time_ns * 1e-9, [position[name] for name in self.joints])
         if volts is not None:
-            self._command.data = array("d", volts)
-            self.publisher.publish(self._command)
-            self._answered_ns, self._answered_at = time_ns, self.heard_at
+            self.command.data = array("d", volts)
+            self.answered_ns = time_ns
+            self.send()
 
-    def control(self, time_ns: int, position: list[float]) -> tuple[float, ...] | None:
-        """Volts for the state of simulated time `time_ns` [ns]; None at the end of the line."""
-        if self._setpoints is None:
-            self._start_ns = time_ns
-            self._setpoints = self._plan(position)
-        seconds = (time_ns - self._start_ns) * 1e-9
-        place = round(seconds / self.p["period"])
-        if place >= len(self._setpoints):
+    def send(self) -> None:
+        """Publish the present command."""
+        self.publisher.publish(self.command)
+        self.answered_at = self.heard_at
+
+    def control(self, t: float, position: list[float]) -> tuple[float, ...] | None:
+        """Volts for positions [rad] at simulated time t [s]; None when the path is over."""
+        if self.setpoints is None:
+            self.start = t
+            _, self.setpoints = vertical_line(self.arm, position, -self.p["drop"],
+                                              self.p["duration"], self.period)
+        if t - self.start > self.p["duration"] + self.p["settle"]:
             self.done = True
             return None
-        setpoint = self._setpoints[place]
-        volts = self._pid.update(seconds, setpoint, position)
-        self.rows.append((time_ns * 1e-9, volts, setpoint, tuple(position)))
+        # by time, not by counting: a state that never came leaves no offset
+        place = min(round((t - self.start) / self.period), len(self.setpoints) - 1)
+        setpoint = tuple(self.setpoints[place].tolist())
+        volts = self.pid.update(t, setpoint, position)
+        self.rows.append((t, volts, setpoint, tuple(position)))
         return volts
 
-    def _plan(self, position: list[float]) -> list[tuple[float, ...]]:
-        """Setpoints [rad] along the line from the present position, then at its end."""
-        _, line = vertical_line(self._arm, position, -self.p["drop"], self.p["duration"],
-                                self.p["period"])
-        stay = [line[-1]] * round(self.p["settle"] / self.p["period"])
-        return [tuple(row) for row in [*line.tolist(), *stay]]
+    def wait_until(self, condition) -> None:
+        """Spin until `condition()` holds; ControllerError when nothing is heard for too long."""
+        self.heard_at = time.monotonic()
+        while not condition():
+            self.spinner.spin_once(timeout_sec=0.1)
+            if time.monotonic() - self.heard_at > self.p["timeout"]:
+                raise ControllerError(
+                    f"no answer for {self.p['timeout']:g} s", where=self.p["simulator"],
+                    expected="a sim_node of that name in this namespace and ROS_DOMAIN_ID")
+
+    def answer(self, future):
+        """The result of a service call."""
+        self.wait_until(future.done)
+        return future.result()
 
     def recording(self) -> Recording:
         """What was done, as a table."""
-        columns = [np.array(column) for column in zip(*self.rows)]
-        return Recording(time=columns[0], voltage=columns[1], setpoint=columns[2],
-                         position=columns[3])
+        time_s, voltage, setpoint, position = (np.array(column) for column in zip(*self.rows))
+        return Recording(time=time_s, voltage=voltage, setpoint=setpoint, position=position)
+
+
+def parameter_value(message):
+    """The Python value of an rcl_interfaces/ParameterValue."""
+    return Parameter.from_parameter_msg(ParameterMessage(name="value", value=message)).value
 
 
 def report(recording: Recording, period: float) -> str:
@@ -132,42 +168,24 @@ def report(recording: Recording, period: float) -> str:
     return "\n".join([*lines, f"states answered: {len(recording)}, missed: {missed}"])
 
 
-def _run(node: ExternalController) -> str | None:
-    """Follow the line; returns what went wrong."""
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    resumed = not node.p["resume"]
-    while not node.done:
-        executor.spin_once(timeout_sec=0.1)
-        if not resumed and node.ready() and node.resume.service_is_ready():
-            node.resume.call_async(SetBool.Request(data=False))
-            resumed = True
-        if time.monotonic() - node.heard_at > node.p["timeout"]:
-            topic = node.resolve_topic_name("joint_states")
-            return (f"no state on {topic} for {node.p['timeout']:g} s; is a sim_node running in "
-                    "this namespace and ROS_DOMAIN_ID, with command_interface voltage?")
-    return None
-
-
 def main(args=None) -> int:
     """Entry point of ``external_controller``; returns the exit status."""
     rclpy.init(args=args)
     try:
         node = ExternalController()
-        problem = _run(node)
-        if problem is None and node.rows:
-            recording = node.recording()
-            if node.p["log_path"]:
-                write_csv(recording, node.p["log_path"])
-            print(report(recording, node.p["period"]), flush=True)
-            return 0
+        node.connect()
+        node.wait_until(lambda: node.done)
+        recording = node.recording()
+        if node.p["log_path"]:
+            write_csv(recording, node.p["log_path"])
+        print(report(recording, node.period), flush=True)
+        return 0
     except PumaSimError as error:
-        problem = str(error)
+        print(f"external_controller: {error}", file=sys.stderr)
     except (KeyboardInterrupt, ExternalShutdownException):
-        problem = "interrupted"
+        print("external_controller: interrupted", file=sys.stderr)
     finally:
         rclpy.try_shutdown()
-    print(f"external_controller: {problem}", file=sys.stderr)
     return 1
 
 

@@ -272,13 +272,15 @@ class SimNode(Node):
 
     def _publish_diagnostics(self) -> None:
         state, counters, late = self._session.state, self._session.counters, self._pacer.lateness
+        age, timeout = self._session.command_age_steps, self._config.timeout_steps
         level, text = DiagnosticStatus.OK, "running"
         if self._failed_step is not None:
             level = DiagnosticStatus.ERROR
             text = f"the state stopped being finite at step {self._failed_step}"
         elif self._paused:
             text = "paused"
-        age = self._session.command_age_steps
+        elif timeout and age >= timeout:
+            level, text = DiagnosticStatus.WARN, "no command within command_timeout"
         values = {
             "step": state.step,
             "simulated time [s]": f"{state.time_ns / 1e9:.9g}",
@@ -303,10 +305,13 @@ class SimNode(Node):
         """Run until `stopped()` is true. Raises BagError when the bag cannot be written on."""
         self._publish_model()
         self._publish_state()
-        self._pacer.restart()
-        # what exists now stays: a full collection would cost more than the slack of a period
+        # what exists now stays: a full collection of it would hold a step up
         gc.collect()
         gc.freeze()
+        self.get_logger().info(
+            f"{self._values['mode']}, commands on "
+            f"{self._command_subscriptions[0].topic_name}{', paused' if self._paused else ''}")
+        self._pacer.restart()
         turn = self._turn_lockstep if self._lockstep else self._turn_realtime
         while not stopped():
             turn()

@@ -110,7 +110,7 @@ def check_bag(programs: Path, bag: Path) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--out", type=Path, required=True, help="a folder to write logs and the bag")
+    parser.add_argument("--out", type=Path, required=True, help="a new folder for logs and the bag")
     parser.add_argument("--seconds", type=float, default=120.0, help="how long the path may take")
     arguments = parser.parse_args()
     out = arguments.out.resolve()

@@ -26,6 +26,8 @@ import puma_sim_core
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("puma_sim_core", "puma_sim_ros")
 SOURCES = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
+INSTALLED = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*"))
+             if path.is_file() and "__pycache__" not in path.parts]
 CONFIG_FILES = sorted(
     path.relative_to(ROOT).as_posix() for path in (ROOT / "config").rglob("*.yaml"))
 
@@ -90,9 +92,9 @@ def test_every_configuration_file_is_in_the_wheel_as_package_data_and_in_share(w
         assert [n for n in names if n.endswith(f".data/data/share/puma_sim_ros/{name}")], name
 
 
-def test_the_wheel_has_every_module_and_what_ros_looks_for(wheel):
+def test_the_wheel_has_every_file_of_the_packages_and_what_ros_looks_for(wheel):
     names = wheel.namelist()
-    for path in SOURCES:
+    for path in INSTALLED:
         assert path.relative_to(ROOT).as_posix() in names
     for name in ("share/puma_sim_ros/package.xml",
                  "share/ament_index/resource_index/packages/puma_sim_ros"):

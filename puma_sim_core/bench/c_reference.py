@@ -14,6 +14,8 @@ import shlex
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -33,8 +35,8 @@ typedef struct {
 typedef struct { double inverse_inductance, resistance, emf, torque, viscous; } Motor;
 
 /* x = (q, qd, i); v held; dx = time derivative of x */
-static inline void derivative(const double *x, const double *v, const Body *b,
-                              const Motor *motor, double *dx)
+static inline __attribute__((always_inline)) void derivative(
+    const double *x, const double *v, const Body *b, const Motor *motor, double *dx)
 {
     const double w1 = x[3], w2 = x[4], w3 = x[5];
     const double s2 = sin(x[1]), c2 = cos(x[1]);
@@ -114,6 +116,12 @@ void run(const double *start, const double *volts, long steps, double step, cons
 }
 """
 
+LABEL = "the same equations in C, -O3"
+LABEL_ALL_CORES = f"{LABEL}, on all cores"
+
+#: runs of one core in a row, so that starting threads does not count
+_REPETITIONS = 8
+
 _DOUBLES = np.ctypeslib.ndpointer(dtype=np.float64, flags="C_CONTIGUOUS")
 
 
@@ -155,18 +163,46 @@ class CReference:
                               _DOUBLES, _DOUBLES]
         self._run.restype = None
 
-    def run(self, task: Task) -> np.ndarray:
-        """States at all steps, (n + 1, 9), as in `Task`."""
+    def prepared(self, task: Task) -> Callable[[], np.ndarray]:
+        """A function of no arguments that gives the states at all steps, (n + 1, 9), as in `Task`.
+
+        It fills the same array each time.
+        """
         body, drive, _, _ = task.plant.constants
         out = np.empty((task.steps + 1, 9))
-        self._run(np.ascontiguousarray(task.state, float),
-                  np.ascontiguousarray(task.voltages, float), task.steps, STEP,
-                  np.array(body), np.array(drive), out)
-        return out
+        arguments = (np.ascontiguousarray(task.state, float),
+                     np.ascontiguousarray(task.voltages, float), task.steps, STEP,
+                     np.array(body), np.array(drive), out)
+
+        def run():
+            self._run(*arguments)
+            return out
+
+        return run
 
 
-def rows(task: Task) -> list[Row]:
-    """C at -O3, and with the instructions of this very machine. Raises Unavailable."""
+def on_all_cores(task: Task, cores: int) -> Row:
+    """Each core its own runs, at the same time: what this machine gives to more than one core."""
+    runs = [CReference().prepared(task) for _ in range(cores)]
+
+    def repeat(run):
+        for _ in range(_REPETITIONS):
+            last = run()
+        return last[-1, :3].copy()
+
+    def together():
+        with ThreadPoolExecutor(cores) as executor:
+            return list(executor.map(repeat, runs))[0]
+
+    return Row(LABEL_ALL_CORES, together, cores * _REPETITIONS * task.seconds, task.seconds,
+               calls=5, note="time a run, with a run on each core all the while")
+
+
+def rows(task: Task, cores: int = 1) -> list[Row]:
+    """C at -O3, with the instructions of this very machine, and on all cores.
+
+    Raises Unavailable without a compiler.
+    """
     made = []
     for flags in (("-O3",), ("-O3", "-march=native")):
         try:
@@ -175,7 +211,9 @@ def rows(task: Task) -> list[Row]:
             if not made:
                 raise
             continue  # some compilers refuse -march=native
-        made.append(Row(f"the same equations in C, {' '.join(flags)}",
-                        lambda reference=reference: reference.run(task)[-1, :3],
+        made.append(Row(LABEL.replace("-O3", " ".join(flags)),
+                        lambda run=reference.prepared(task): run()[-1, :3].copy(),
                         task.seconds, calls=9))
+    if cores > 1:
+        made.append(on_all_cores(task, cores))
     return made

@@ -17,6 +17,10 @@ import numpy as np
 from .task import Row
 
 
+def quiet(text: str) -> None:
+    """Shows no progress."""
+
+
 def order_of_calls(rows: Sequence[Row], round_number: int) -> list[int]:
     """Indices of rows in the order in which a round calls them.
 
@@ -29,18 +33,18 @@ def order_of_calls(rows: Sequence[Row], round_number: int) -> list[int]:
     return [i for _, _, i in sorted(calls)]
 
 
-def measured(rows: Sequence[Row], rounds: int, progress: Callable[[str], None] | None = None):
-    """Measure rows in turn.
-
-    Returns (times, positions): times (rounds, rows) [s], each the median of the row's calls in
-    that round; positions, a list of final positions (3,) [rad] or None, from a call before the
-    first round, which also warms caches and compilers up.
-    """
-    progress = progress or (lambda text: None)
+def first_calls(rows: Sequence[Row], progress: Callable[[str], None] = quiet) -> list[np.ndarray]:
+    """Final positions (3,) [rad] of each row's first call, which warms caches and compilers up."""
     positions = []
     for row in rows:
         progress(f"first call: {row.label}")
-        positions.append(row.measure()[1])
+        positions.append(np.asarray(row.measure()[1]))
+    return positions
+
+
+def measured(rows: Sequence[Row], rounds: int,
+             progress: Callable[[str], None] = quiet) -> np.ndarray:
+    """Times [s] (rounds, rows), each the median of the row's calls in that round."""
     times = np.empty((rounds, len(rows)))
     collecting = gc.isenabled()
     gc.collect()
@@ -56,13 +60,13 @@ def measured(rows: Sequence[Row], rounds: int, progress: Callable[[str], None] |
         if collecting:
             gc.enable()
         progress("")
-    return times, positions
+    return times
 
 
-def terminal_progress() -> Callable[[str], None] | None:
-    """Shows one changing line on a terminal; None where standard error is not one."""
+def terminal_progress() -> Callable[[str], None]:
+    """Shows one changing line on a terminal, and nothing where standard error is not one."""
     if not sys.stderr.isatty():
-        return None
+        return quiet
 
     def show(text: str) -> None:
         sys.stderr.write(f"\r\x1b[K{text[:100]}")

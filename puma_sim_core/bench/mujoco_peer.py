@@ -17,6 +17,8 @@ from .task import STEP, Row, Task
 
 PACKAGES = ("mujoco",)
 
+STEP_LOOP, ROLLOUT = "MuJoCo, mj_step from Python", "MuJoCo, rollout"
+
 #: accelerations agree to 1e-11; over a run the current is advanced to first order only, an error
 #: that halves with the step
 _TOLERANCE = 2e-4
@@ -95,8 +97,8 @@ def rows(task: Task) -> list[Row]:
         pool.rollout(which, data, start[None], control[None], state=states)
         return states[0, -1, 1:4].copy()
 
-    made = {"MuJoCo, mj_step from Python": step_loop,
-            "MuJoCo, rollout": lambda: roll(model),
-            "MuJoCo, rollout, contacts and constraints off": lambda: roll(lean)}
+    made = {STEP_LOOP: step_loop,
+            ROLLOUT: lambda: roll(model),
+            f"{ROLLOUT}, contacts and constraints off": lambda: roll(lean)}
     return [Row(label, run, task.seconds, calls=2, tolerance=_TOLERANCE, note=_NOTE)
             for label, run in made.items()]

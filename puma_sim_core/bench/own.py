@@ -7,22 +7,32 @@ import json
 import os
 import subprocess
 import sys
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from ..backend import BACKEND, compiled
+from ..batch import run_batch
 from ..effects import parse_effect
-from ..kernel import FREE, STILL, rk4_step
+from ..kernel import FREE, STILL
 from ..plant import Plant
+from ..runs import advance, is_finite, run_voltages, store, terminal_voltage
 from ..simulator import Simulator, native
 from .task import STEP, Row, Task
 
-SINGLE = f"puma_sim, Simulator.run, {'compiled' if BACKEND == 'numba' else 'plain Python'}"
+COMPILED = "puma_sim, Simulator.run, compiled"
 PLAIN = "puma_sim, Simulator.run, plain Python"
-WITHOUT_STAGES = "puma_sim, compiled without any effect in it"
+ONE_CALL = "puma_sim, run_voltages, compiled"
+WITHOUT_STAGES = "puma_sim, run_voltages without any effect in it"
+BATCH_ONE = "puma_sim, batch on one core"
+BATCH_ALL = "puma_sim, batch on all cores"
 ALL_DRY = "puma_sim, all friction but the bristle"
 ALL_FRICTION = "puma_sim, all friction effects"
+
+#: 23 MB of states: the allocator keeps that much, and the system's page faults do not count
+BATCH_RUNS = 32
 
 #: (levels of the kind's parameters for joints 1, 2, 3): of a PUMA's size, where one is known
 _FRICTION = {
@@ -57,22 +67,68 @@ def simulation(task: Task, effects=()):
     return run
 
 
+def one_call(task: Task):
+    """The compiled call that is behind `Simulator.run`, alone."""
+    body, drive, active, table = task.plant.constants
+    out = np.empty((task.steps + 1, 12))
+    counts, steps = np.ones(task.steps, dtype=np.int64), np.full(task.steps, STEP)
+    state, p = tuple(task.state.tolist()), native(table)
+
+    def run():
+        run_voltages(state, STILL, task.voltages, counts, steps, body, drive, active, p, FREE, out)
+        return out[-1, :3].copy()
+
+    return run
+
+
+def batch(task: Task, workers: int):
+    """BATCH_RUNS runs of arms that differ in their masses, the first of them the task's own."""
+    arm = task.plant.arm
+    plants = [Plant(replace(arm, links=tuple(replace(link, mass=link.mass * (1.0 + 0.001 * k))
+                                             for link in arm.links)))
+              for k in range(BATCH_RUNS)]
+    time = STEP * np.arange(task.steps + 1)
+    voltages = np.vstack([task.voltages, task.voltages[-1:]])
+    position, velocity, current = task.state.reshape(3, 3)
+
+    def run():
+        return run_batch(plants, time, voltages, position=position, velocity=velocity,
+                         current=current, max_step=STEP, workers=workers).position[0, -1]
+
+    return run
+
+
+def core_count() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 def without_stages(task: Task):
-    """The run with the kernel compiled for `active` = 0: all that effects could cost is gone."""
+    """`one_call` compiled for a plant without effects: all that they could cost is gone."""
     body, drive, _, table = task.plant.constants
 
     @compiled
     def run_bare(x, z, volts, h, body, drive, p, out):
+        store(out, 0, x, z)
         for r in range(len(volts)):
-            v = (volts[r, 0], volts[r, 1], volts[r, 2])
-            for j in range(9):
-                out[r, j] = x[j]
-            x, z = rk4_step(x, z, v, h, body, drive, 0, p, FREE, STILL)
-        return x
+            v = (terminal_voltage(0, volts[r][0], p), terminal_voltage(1, volts[r][1], p),
+                 terminal_voltage(2, volts[r][2], p))
+            x, z = advance(x, z, v, h, 1, body, drive, 0, p, FREE)
+            if not is_finite(x):
+                return r + 1
+            store(out, r + 1, x, z)
+        return -1
 
     out = np.empty((task.steps + 1, 12))
     state, p = tuple(task.state.tolist()), native(table)
-    return lambda: np.array(run_bare(state, STILL, task.voltages, STEP, body, drive, p, out)[:3])
+
+    def run():
+        run_bare(state, STILL, task.voltages, STEP, body, drive, p, out)
+        return out[-1, :3].copy()
+
+    return run
 
 
 class PlainPython:
@@ -87,7 +143,11 @@ class PlainPython:
         """(seconds, final positions) of one run; this process waits meanwhile."""
         self._process.stdin.write("\n")
         self._process.stdin.flush()
-        elapsed, position = json.loads(self._process.stdout.readline())
+        answer = self._process.stdout.readline()
+        if not answer:
+            raise RuntimeError(f"the process with the interpreted kernel ended with status "
+                               f"{self._process.wait()}")
+        elapsed, position = json.loads(answer)
         return elapsed, np.array(position)
 
     def close(self) -> None:
@@ -95,6 +155,19 @@ class PlainPython:
         self._process.stdin.close()
         self._process.wait()
         self._process.stdout.close()
+
+
+@contextmanager
+def helper(task: Task):
+    """The process for plain Python while the bench runs; None where this process is that."""
+    if BACKEND != "numba":
+        yield None
+        return
+    child = PlainPython(task)
+    try:
+        yield child
+    finally:
+        child.close()
 
 
 def child_environment() -> dict[str, str]:
@@ -106,32 +179,31 @@ def child_environment() -> dict[str, str]:
 
 def rows(task: Task, child: PlainPython | None) -> list[Row]:
     """The single runs, the reference of all ratios first."""
-    made = [Row(SINGLE, simulation(task), task.seconds, calls=9, ours=True)]
     if BACKEND != "numba":
-        made[0].calls = 1
-        return made
+        return [Row(PLAIN, simulation(task), task.seconds, calls=2, ours=True)]
+    made = [Row(COMPILED, simulation(task), task.seconds, calls=9, ours=True)]
+    made.append(Row(ONE_CALL, one_call(task), task.seconds, calls=9, ours=True,
+                    note="without the making of its arrays and of the recording"))
     made.append(Row(WITHOUT_STAGES, without_stages(task), task.seconds, calls=9, ours=True,
                     note="the kernel with the stages of the effects taken out by the compiler"))
     if child is not None:
-        made.append(Row(PLAIN, run=lambda: None, seconds=task.seconds, ours=True,
-                        measure=child.measure, note="in a process of its own, in turn with this"))
+        made.append(Row(PLAIN, lambda: child.measure()[1], task.seconds, calls=2, ours=True,
+                        measure=child.measure, note="in a process of its own, in turn with ours"))
     sets = {f"puma_sim, {kind}": (kind,) for kind in _FRICTION}
     sets[ALL_DRY] = tuple(kind for kind in _FRICTION if kind != "presliding_friction")
     sets[ALL_FRICTION] = tuple(_FRICTION)
     for label, kinds in sets.items():
         run = simulation(task, friction(*kinds))
-        # friction moves the arm elsewhere: nothing to compare
-        made.append(Row(label, lambda run=run: run() and None if False else _nothing(run),
-                        task.seconds, calls=5, ours=True))
+        made.append(Row(label, run, task.seconds, calls=5, ours=True, compared=False))
+    for label, workers in ((BATCH_ONE, 1), (BATCH_ALL, core_count())):
+        made.append(Row(label, batch(task, workers), BATCH_RUNS * task.seconds, task.seconds,
+                        calls=5, ours=True,
+                        note=f"time a run, of {BATCH_RUNS} runs of arms that differ"))
     return made
 
 
-def _nothing(run) -> None:
-    run()
-
-
-def import_seconds(repetitions: int = 5, module: str = "puma_sim_core") -> list[float]:
-    """Times [s] of the import in fresh processes that have no numba."""
+def import_seconds(module: str, repetitions: int = 5) -> list[float]:
+    """Times [s] of the import of `module` in fresh processes that have no numba."""
     code = ("import sys; sys.modules['numba'] = None\n"
             "from time import perf_counter\n"
             f"start = perf_counter(); import {module}; print(perf_counter() - start)")

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
@@ -61,7 +61,7 @@ class Row:
     Attributes
     ----------
     label : how it is called in the table.
-    run : does it once; gives the final positions (3,) [rad], or None where there are none.
+    run : does it once; gives the final positions (3,) [rad].
     seconds : simulated time of one call, all arms of a batch together [s].
     motion : length of the motion [s], for the comparison with our arm.
     calls : calls in a round; a round's figure is their median.
@@ -70,17 +70,19 @@ class Row:
     measure : does it once as `run` does; gives (elapsed seconds, final positions). The default
         times `run`.
     ours : whether it is one of our own rows.
+    compared : False where its arm is meant to end elsewhere than ours, with friction or in a batch.
     """
 
     label: str
-    run: Callable[[], np.ndarray | None]
+    run: Callable[[], np.ndarray]
     seconds: float
     motion: float | None = None
     calls: int = 1
     tolerance: float = 1e-9
     note: str = ""
     ours: bool = False
-    measure: Callable[[], tuple[float, np.ndarray | None]] = field(default=None)
+    compared: bool = True
+    measure: Callable[[], tuple[float, np.ndarray]] | None = None
 
     def __post_init__(self):
         if self.measure is None:

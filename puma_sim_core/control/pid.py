@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, isfinite
 
-from ..backend import inlined
+from ..backend import inlined, interpreted
 from ..errors import ParameterError
 
 
@@ -54,6 +54,9 @@ def pid_law(error, d_now, d_before, total, gain, integral, derivative, limit):
         if error < 0.0:
             candidate = total
     return u, candidate
+
+
+_law = interpreted(pid_law)
 
 
 class Pid:
@@ -100,10 +103,10 @@ class Pid:
         before = now if self._before is None else self._before
         volts = []
         for j, g in enumerate(self.gains):
-            u, self._total[j] = pid_law(float(setpoint[j]) - float(measurement[j]), now[j],
-                                        before[j], self._total[j], g.gain,
-                                        self.period / g.integral_time,
-                                        g.derivative_time / self.period, self.limit)
+            u, self._total[j] = _law(float(setpoint[j]) - float(measurement[j]), now[j],
+                                      before[j], self._total[j], g.gain,
+                                      self.period / g.integral_time,
+                                      g.derivative_time / self.period, self.limit)
             volts.append(u)
         self._before = now
         return tuple(volts)

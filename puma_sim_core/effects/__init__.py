@@ -62,7 +62,8 @@ def parse_effect(text: str) -> Effect:
                 values[key] = float(value)
         except ValueError:
             raise ParameterError(f"{key}={value}", where=f"effect '{text}'",
-                                 expected="a number") from None
+                                 expected="joint=1, 2 or 3" if key == "joint" else "a number"
+                                 ) from None
     return Effect(KINDS[name], joint, values)
 
 

@@ -64,6 +64,7 @@ class Kind:
     parameters : in the order of the table.
     per_joint : False for an effect of the whole arm; such a one carries no joint.
     load : for LOAD, a function (arm, values) -> arm with the load attached.
+    check : what the values must be together, as (values) -> text of what was expected, or None.
     """
 
     name: str
@@ -74,6 +75,7 @@ class Kind:
     parameters: tuple[Parameter, ...]
     per_joint: bool = True
     load: Callable[[ArmParameters, dict[str, float]], ArmParameters] | None = None
+    check: Callable[[dict[str, float]], str | None] | None = None
 
 
 @dataclass(frozen=True)
@@ -91,7 +93,8 @@ class Effect:
 
     def __post_init__(self):
         where = f"effect {self.kind.name}"
-        if self.kind.per_joint and self.joint not in (1, 2, 3):
+        if self.kind.per_joint and (isinstance(self.joint, bool) or
+                                    not isinstance(self.joint, int) or not 1 <= self.joint <= 3):
             raise ParameterError(f"joint {self.joint}", where=where, expected="joint=1, 2 or 3")
         if not self.kind.per_joint and self.joint is not None:
             raise ParameterError(f"joint {self.joint}", where=where,
@@ -117,6 +120,11 @@ class Effect:
                 raise ParameterError(f"{p.name}={value:g}", where=where,
                                      expected=f"{p.low:g} to {p.high:g} {p.unit}")
             complete[p.name] = value
+        if self.kind.check is not None and len(complete) == len(known):
+            expected = self.kind.check(complete)
+            if expected:
+                raise ParameterError(", ".join(f"{k}={v:g}" for k, v in complete.items()),
+                                     where=where, expected=expected)
         object.__setattr__(self, "values", complete)
 
     def on(self, arm: ArmParameters) -> Effect:

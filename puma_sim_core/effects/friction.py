@@ -48,7 +48,7 @@ PRESLIDING = Kind(
     equation="tau = sigma0 z, zdot = qd - |qd| z sigma0 / level(qd)  (Dahl 1968)",
     sentence="A joint's dry friction acting through an elastic bristle: like a spring before it "
              "slides, with a hysteresis loop at each reversal.",
-    parameters=(Parameter("stiffness", "N.m/rad", 1.0, 1e7, "sigma0", default=2e4),
+    parameters=(Parameter("stiffness", "N.m/rad", 1.0, 1e6, "sigma0", default=2e4),
                 Parameter("torque", "N.m", 0.0, 500.0,
                           "sliding level, added to the joint's other dry friction", default=0.0)))
 

@@ -17,7 +17,8 @@ SOFT_STOP = Kind(
                 Parameter("upper", "rad", -10.0, 10.0, "where the upper stop begins",
                           neutral=inf, from_arm=lambda arm, joint: arm.joint_ranges[joint - 1][1]),
                 Parameter("stiffness", "N.m/rad", 0.0, 1e6, "K", default=1e4),
-                Parameter("damping", "N.m.s/rad", 0.0, 1000.0, "B", default=100.0)))
+                Parameter("damping", "N.m.s/rad", 0.0, 1000.0, "B", default=100.0)),
+    check=lambda values: None if values["lower"] < values["upper"] else "lower below upper")
 
 KINDS = (SOFT_STOP,)
 

@@ -1,0 +1,8 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``python -m puma_sim_core``: the command `puma-sim`."""
+
+import sys
+
+from .cli import main
+
+sys.exit(main())

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Options that subcommands share, and how their texts become numbers and plants."""
+
+from __future__ import annotations
+
+import argparse
+from math import isfinite
+from typing import TYPE_CHECKING
+
+from ..errors import ParameterError
+
+if TYPE_CHECKING:
+    from ..plant import Plant
+
+
+def number(text: str, option: str) -> float:
+    """The finite number that an option was given; raises ParameterError."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not isfinite(value):
+        raise ParameterError(f"'{text}'", where=option, expected="a finite number")
+    return value
+
+
+def three_numbers(text: str, option: str, unit: str) -> tuple[float, float, float]:
+    """The three finite numbers that an option was given; raises ParameterError."""
+    try:
+        values = tuple(map(float, text.split(",")))
+    except ValueError:
+        values = ()
+    if len(values) != 3 or not all(map(isfinite, values)):
+        raise ParameterError(f"'{text}'", where=option,
+                             expected=f"three finite numbers with commas between them [{unit}]")
+    return values
+
+
+def add_plant_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options that `plant_of` reads."""
+    source = parser.add_mutually_exclusive_group()
+    source.add_argument("--parameters", metavar="SET|FILE",
+                        help="published set or parameter file of the arm (default bejczy; "
+                             "`puma-sim parameters` lists the sets)")
+    source.add_argument("--model", metavar="FILE",
+                        help="model file: parameters and effects in one")
+    parser.add_argument("--effect", metavar="NAME:KEY=VALUE,...", action="append", default=[],
+                        help="add an effect, such as coulomb_friction:joint=2,torque=12; may "
+                             "stand more than once (`puma-sim effects` lists them)")
+    parser.add_argument("--torque-form", choices=("physical", "printed"),
+                        help="torque at the joint: N kt i (the default), or kt i as equation 5.2 "
+                             "prints it")
+
+
+def plant_of(options: argparse.Namespace) -> Plant:
+    """The plant of the options; raises ParameterError or ModelError."""
+    from ..effects import parse_effect
+    from ..plant import Plant, load_model
+
+    effects = tuple(parse_effect(text) for text in options.effect)
+    if options.model is None:
+        return Plant.of(options.parameters or "bejczy", effects, options.torque_form or "physical")
+    base = load_model(options.model)
+    return Plant(base.arm, base.effects + effects, options.torque_form or base.torque_form)
+
+
+def input_files(options: argparse.Namespace) -> list[str]:
+    """Files that `plant_of` may read, which no output may take the place of."""
+    return [path for path in (options.parameters, options.model) if path is not None]

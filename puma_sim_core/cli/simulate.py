@@ -1,0 +1,239 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Run a file of voltages through the arm, and write its motion.
+
+In:  columns time, voltage1..3 [s, V]; the voltages of a row hold until the next row.
+Out: columns time, voltage1..3, position1..3, velocity1..3, current1..3 [s, V, rad, rad/s, A] at
+     the same times; a row is the state at its time.
+
+  puma-sim simulate volts.csv --out run.csv
+  puma-sim simulate volts.csv --out run.csv --effect coulomb_friction:joint=2,torque=12
+  puma-sim simulate log.csv --out run.csv --restart 2.0
+
+With --restart the file is a measured log, which has position1..3 [rad] too and may have
+velocity1..3 and current1..3: its voltages go through the arm in open loop, which starts again
+from the measured state as often as told.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from typing import TYPE_CHECKING
+
+from ..errors import LimitError, NonFiniteStateError, ParameterError, RecordingError
+from .arguments import add_plant_arguments, input_files, number, plant_of, three_numbers
+from .output import Progress, check_output, output_file
+
+if TYPE_CHECKING:
+    from ..recording import Recording
+    from ..restart import OpenLoopErrors
+    from ..simulator import Constraint, Limits, Simulator
+
+NAME = "simulate"
+SUMMARY = "run a file of voltages through the arm"
+
+_START = (("initial", "position", "rad"), ("initial_velocity", "velocity", "rad/s"),
+          ("initial_current", "current", "A"))
+#: steps between two looks at the clock and at Ctrl-C
+_STEPS_AT_ONCE = {"numba": 2_000_000, "python": 20_000}
+#: steps of a run: months of the compiled kernel, and far from where counts overflow
+_MOST_STEPS = 1e14
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("file", metavar="FILE", help="CSV of voltages, or a log with --restart")
+    parser.add_argument("--out", metavar="FILE", required=True,
+                        help="CSV to write; - for standard output")
+    add_plant_arguments(parser)
+    parser.add_argument("--initial", metavar="Q1,Q2,Q3", help="positions at the start [rad] (0)")
+    parser.add_argument("--initial-velocity", metavar="W1,W2,W3",
+                        help="velocities at the start [rad/s] (0)")
+    parser.add_argument("--initial-current", metavar="I1,I2,I3",
+                        help="motor currents at the start [A] (0)")
+    parser.add_argument("--constrain", metavar="JOINT=HOW", action="append", default=[],
+                        help="joint1=hold, joint1=velocity:0.5 (or =velocity: the one it starts "
+                             "with), joint1=acceleration:1, joint1=free; may stand more than once")
+    parser.add_argument("--max-step", metavar="S",
+                        help="greatest step of integration [s] (28/30 ms; at most 8 ms)")
+    parser.add_argument("--restart", metavar="S",
+                        help="FILE is a measured log; start from its state every S seconds")
+    parser.add_argument("--limits", choices=("report", "error", "off"), default="report",
+                        help="what happens where a row is outside the joint ranges of the arm")
+    parser.add_argument("--max-velocity", metavar="W1,W2,W3", help="also limit velocities [rad/s]")
+    parser.add_argument("--max-acceleration", metavar="A1,A2,A3",
+                        help="also limit accelerations [rad/s^2]")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Simulate, write, and sum up on standard error; raises the errors of the package."""
+    begin = time.perf_counter()
+    _check_combination(options)
+    check_output(options.out, [options.file, *input_files(options)])
+
+    from ..backend import BACKEND
+    from ..recording import read_csv, write_rows
+
+    simulator = _simulator(options)
+    start = _start(options)
+    limits = _limits(options, simulator)
+    if options.restart is None:
+        log = read_csv(options.file)
+        simulator.reset(**start, time=log.time[0])
+    else:
+        interval = number(options.restart, "--restart")
+        log = read_csv(options.file, ("voltage", "position"), ("velocity", "current"))
+    _check_last_line(options.file)
+    span = float(log.time[-1]) - float(log.time[0])
+    if not span < _MOST_STEPS * simulator.max_step:
+        raise RecordingError(f"lasts {span:.3g} s", where=options.file,
+                             expected=f"times in seconds, fewer than {_MOST_STEPS:g} steps")
+    with Progress() as progress:
+        errors = None
+        try:
+            if options.restart is None:
+                result = _run(simulator, log, limits.acceleration is not None, progress)
+            else:
+                result, errors = _run_windows(simulator, log, interval, limits, progress)
+        except NonFiniteStateError as error:
+            raise RecordingError(
+                "the state is no longer finite",
+                where=f"{options.file}, row {error.step + 1} ({log.time[error.step]:.9g} s)",
+                expected="voltages, parameters and a start that the arm can follow") from None
+        exceeded = limits.first_exceeded(result)
+        if exceeded and options.limits == "error":
+            raise LimitError(exceeded[0], expected="a run within its limits")
+        with output_file(options.out) as file:
+            write_rows(result, file, lambda rows: progress("writing", rows, len(result)))
+    for sentence in exceeded:
+        print(f"warning: {sentence}", file=sys.stderr)
+    for line in _summary(options, result, errors):
+        print(line, file=sys.stderr)
+    print(f"{len(result)} rows, {span:.6g} s simulated by the "
+          f"{BACKEND} kernel; {time.perf_counter() - begin:.2f} s in all", file=sys.stderr)
+    return 0
+
+
+def _check_combination(options) -> None:
+    """Refuse options that contradict each other; raises ParameterError."""
+    if options.restart is not None:
+        for name, _, _ in _START:
+            if getattr(options, name) is not None:
+                raise ParameterError(f"--{name.replace('_', '-')} with --restart",
+                                     expected="one of them: a log starts from its measured state")
+    if options.limits == "off":
+        for name in ("max_velocity", "max_acceleration"):
+            if getattr(options, name) is not None:
+                raise ParameterError(f"--{name.replace('_', '-')} with --limits off",
+                                     expected="--limits report or error")
+
+
+def _simulator(options) -> Simulator:
+    from ..simulator import SERVO_PERIOD, Simulator, check_step
+
+    step = (SERVO_PERIOD if options.max_step is None
+            else check_step(number(options.max_step, "--max-step"), "--max-step"))
+    return Simulator(plant_of(options), constraints=_constraints(options.constrain), max_step=step)
+
+
+def _constraints(texts) -> list[Constraint]:
+    """One constraint a joint from the texts of --constrain; raises ParameterError."""
+    from ..simulator import CONSTRAINTS, Constraint
+
+    found: dict[str, Constraint] = {}
+    for text in texts:
+        name, _, how = text.partition("=")
+        if name not in ("joint1", "joint2", "joint3"):
+            raise ParameterError(f"'{text}'", where="--constrain",
+                                 expected=f"joint1, joint2 or joint3, =, {', '.join(CONSTRAINTS)}")
+        if name in found:
+            raise ParameterError(f"{name} stands twice", where="--constrain",
+                                 expected="each joint once")
+        try:
+            found[name] = Constraint.parse(how)
+        except ParameterError as error:
+            raise ParameterError(error.what, where=f"--constrain {text}: {error.where}",
+                                 expected=error.expected) from None
+    return [found.get(name, Constraint()) for name in ("joint1", "joint2", "joint3")]
+
+
+def _start(options) -> dict:
+    """Arguments of `Simulator.reset`."""
+    return {name: three_numbers(text, f"--{option.replace('_', '-')}", unit)
+            for option, name, unit in _START if (text := getattr(options, option)) is not None}
+
+
+def _limits(options, simulator) -> Limits:
+    from ..simulator import Limits
+
+    def greatest(name, unit):
+        text, option = getattr(options, name), f"--{name.replace('_', '-')}"
+        values = None if text is None else three_numbers(text, option, unit)
+        if values is not None and min(values) < 0.0:
+            raise ParameterError(f"'{text}'", where=option, expected="no number below 0")
+        return values
+
+    ranges = None if options.limits == "off" else simulator.plant.arm.joint_ranges
+    return Limits(ranges, greatest("max_velocity", "rad/s"),
+                  greatest("max_acceleration", "rad/s^2"))
+
+
+def _check_last_line(path) -> None:
+    """Warn of a file that may have been cut off inside its last number."""
+    try:
+        with open(path, "rb") as file:
+            file.seek(-1, 2)
+            whole = file.read() in (b"\n", b"\r")
+    except OSError:  # a pipe, which has been read
+        return
+    if not whole:
+        print(f"warning: {path}: the last line does not end; its last number may be cut off",
+              file=sys.stderr)
+
+
+def _run(simulator: Simulator, log: Recording, acceleration: bool, progress) -> Recording:
+    """Run all rows, some at a time; the same bits as in one call."""
+    import numpy as np
+
+    from ..backend import BACKEND
+    from ..recording import Recording
+    from ..simulator import step_counts
+
+    counts = step_counts(np.diff(log.time), simulator.max_step)
+    block = np.cumsum(counts) // _STEPS_AT_ONCE[BACKEND]
+    ends = [*(np.flatnonzero(np.diff(block)) + 1).tolist(), len(log) - 1]
+    parts, first = [], 0
+    for last in ends:
+        rows = slice(first, last + 1)
+        try:
+            run = simulator.run(log.time[rows], log.voltage[rows], acceleration=acceleration)
+        except NonFiniteStateError as error:
+            raise NonFiniteStateError(first + error.step) from None
+        # the last row of a part is the first of the next
+        parts.append([values[:None if last == ends[-1] else -1]
+                      for values in (run.position, run.velocity, run.current, run.acceleration)
+                      if values is not None])
+        progress("simulating", last + 1, len(log))
+        first = last
+    names = ("position", "velocity", "current", "acceleration")
+    joined = {name: np.concatenate(values) for name, values in zip(names, zip(*parts))}
+    return Recording(time=log.time, voltage=log.voltage, **joined)
+
+
+def _run_windows(simulator, log, interval, limits, progress):
+    from ..restart import run_windows
+
+    return run_windows(simulator, log, interval, acceleration=limits.acceleration is not None,
+                       report=lambda rows: progress("simulating", rows, len(log)))
+
+
+def _summary(options, result: Recording, errors: OpenLoopErrors | None):
+    """Lines on the open-loop errors, joint by joint."""
+    if errors is None:
+        return
+    windows = "window" if errors.windows == 1 else "windows"
+    yield f"open-loop error of {errors.windows} {windows} of {float(options.restart):g} s [rad]:"
+    for j in range(3):
+        yield (f"  joint {j + 1}: rms {errors.rms[j]:.3e}, worst {errors.worst[j]:.3e} at "
+               f"{errors.worst_time[j]:.6g} s")

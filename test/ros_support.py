@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A `sim_node` in a process of its own, and a peer in this one that talks to it over DDS."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+rclpy = pytest.importorskip("rclpy")
+
+from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters  # noqa: E402
+from rclpy.context import Context  # noqa: E402
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
+from std_msgs.msg import Float64MultiArray  # noqa: E402
+from std_srvs.srv import SetBool, Trigger  # noqa: E402
+
+ROOT = Path(__file__).resolve().parent.parent
+DOMAIN = 1 + os.getpid() % 100
+PERIOD_NS = 28_000_000
+PATIENCE = 30.0
+
+_names = itertools.count()
+
+
+def environment() -> dict[str, str]:
+    """For programs under test: their own domain, this machine only, this checkout.
+
+    The model runs as plain Python, which gives the same bits and starts at once.
+    """
+    path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
+    return {**os.environ, "ROS_DOMAIN_ID": str(DOMAIN), "PYTHONPATH": path,
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PUMA_SIM_KERNEL": "python"}
+
+
+def arguments(parameters: dict) -> list[str]:
+    """ROS arguments that set parameters; values are YAML."""
+    words = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
+    return ["--ros-args", *words]
+
+
+def run_program(module: str, *words: str) -> subprocess.CompletedProcess:
+    """A program of the package until it ends, with its status and its texts."""
+    return subprocess.run([sys.executable, "-m", module, *words], env=environment(), text=True,
+                          capture_output=True, timeout=2 * PATIENCE)
+
+
+class Program:
+    """A program of the package that runs beside the test."""
+
+    def __init__(self, module: str, *words: str) -> None:
+        self.process = subprocess.Popen([sys.executable, "-m", module, *words],
+                                        env=environment(), text=True, stdout=subprocess.PIPE,
+                                        stderr=subprocess.PIPE)
+        self.output = self.errors = ""
+
+    def end(self, number: int = signal.SIGINT) -> int:
+        """Send a signal, wait, and return the status."""
+        if self.process.returncode is None:
+            if self.process.poll() is None:
+                self.process.send_signal(number)
+            return self.wait()
+        return self.process.returncode
+
+    def wait(self) -> int:
+        """The status when it has ended by itself."""
+        try:
+            self.output, self.errors = self.process.communicate(timeout=PATIENCE)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.output, self.errors = self.process.communicate()
+            raise AssertionError(f"it did not end:\n{self.errors}") from None
+        return self.process.returncode
+
+
+class Node(Program):
+    """`sim_node` with parameters, in a namespace that no other test has."""
+
+    def __init__(self, namespace: str | None = None, **parameters) -> None:
+        self.namespace = namespace or f"/t{os.getpid()}_{next(_names)}"
+        super().__init__("puma_sim_ros.sim_node", *arguments(parameters),
+                         "-r", f"__ns:={self.namespace}")
+
+
+class Peer:
+    """A ROS node in this process, in the namespace of the node under test.
+
+    ``states``, ``currents`` and ``voltages`` collect what the simulator publishes.
+    """
+
+    def __init__(self, namespace: str, interface: str = "voltage") -> None:
+        os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+        self.context = Context()
+        rclpy.init(context=self.context, domain_id=DOMAIN)
+        self.node = rclpy.create_node("peer", namespace=namespace, context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.states, self.currents, self.voltages = [], [], []
+        self.on_state = None
+        node = self.node
+        node.create_subscription(JointState, "joint_states", self._state, 100)
+        node.create_subscription(Float64MultiArray, "motor_currents",
+                                 lambda m: self.currents.append(tuple(m.data)), 100)
+        node.create_subscription(Float64MultiArray, "motor_voltages",
+                                 lambda m: self.voltages.append(tuple(m.data)), 100)
+        self.commands = node.create_publisher(Float64MultiArray,
+                                              f"{interface}_controller/commands", 10)
+        self.clients = {name: node.create_client(kind, f"sim_node/{name}") for name, kind in (
+            ("reset", Trigger), ("pause", SetBool), ("step", Trigger),
+            ("set_parameters", SetParameters), ("get_parameters", GetParameters),
+            ("describe_parameters", DescribeParameters))}
+
+    def _state(self, message: JointState) -> None:
+        self.states.append(message)
+        if self.on_state is not None:
+            self.on_state(message)
+
+    def close(self) -> None:
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+    def wait_for(self, condition, what: str = "the condition"):
+        """Spin until `condition()` is true, and return its value."""
+        end = time.monotonic() + PATIENCE
+        while not (value := condition()):
+            assert time.monotonic() < end, f"{what} did not come"
+            self.executor.spin_once(timeout_sec=0.05)
+        return value
+
+    def find_simulator(self, reset: bool = True) -> None:
+        """Wait until all that the tests use is connected; with `reset` in both directions.
+
+        The simulator is then paused at step 0.
+        """
+        self.wait_for(lambda: self.commands.get_subscription_count() > 0
+                      and all(client.service_is_ready() for client in self.clients.values())
+                      and self.node.count_publishers("joint_states") > 0
+                      and self.node.count_publishers("motor_voltages") > 0, "the simulator")
+        if reset:
+            self.call("pause", data=True)
+            self.wait_for(self._reaches_us, "a first state")
+            self.fresh()
+
+    def _reaches_us(self) -> bool:
+        self.call("reset")
+        self.executor.spin_once(timeout_sec=0.1)
+        return bool(self.states and self.currents and self.voltages)
+
+    def call(self, service: str, **fields):
+        """The answer of a service of the simulator."""
+        client = self.clients[service]
+        future = client.call_async(client.srv_type.Request(**fields))
+        self.wait_for(future.done, f"an answer of {service}")
+        return future.result()
+
+    def set(self, **values) -> list:
+        """Set parameters; returns the results."""
+        messages = [Parameter(name, value=value).to_parameter_msg()
+                    for name, value in values.items()]
+        return self.call("set_parameters", parameters=messages).results
+
+    def send(self, *values: float) -> None:
+        """Publish a command; the simulator has it before what is asked of it next."""
+        self.publish(self.commands, Float64MultiArray(data=[float(value) for value in values]))
+
+    def publish(self, publisher, message) -> None:
+        publisher.publish(message)
+        # sent on the same way, so behind it: when this is answered, the message has been handled
+        self.call("get_parameters", names=["paused"])
+
+    def step(self, count: int = 1) -> JointState:
+        """Paused: make steps, and return the last state."""
+        for _ in range(count):
+            answer = self.call("step")
+            assert answer.success, answer.message
+        return self.state_of(int(answer.message.split()[1].rstrip(",")))
+
+    def state_of(self, step: int) -> JointState:
+        """After `fresh`: the state of a step; its arrays are ``voltages[step]`` and so on."""
+        self.wait_for(lambda: min(len(self.states), len(self.voltages),
+                                  len(self.currents)) > step, f"state {step}")
+        assert step_of(self.states[step]) == step
+        return self.states[step]
+
+    def fresh(self) -> None:
+        """Paused, at step 0, which is the first of all that is collected."""
+        self.call("pause", data=True)
+        for _ in range(5):
+            self.executor.spin_once(timeout_sec=0.01)
+        for collected in (self.states, self.currents, self.voltages):
+            collected.clear()
+        answer = self.call("reset")
+        assert answer.success, answer.message
+        self.state_of(0)
+
+
+def time_ns(message: JointState) -> int:
+    return message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+
+
+def step_of(message: JointState, period_ns: int = PERIOD_NS) -> int:
+    step, rest = divmod(time_ns(message), period_ns)
+    assert rest == 0
+    return step
