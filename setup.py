@@ -78,7 +78,7 @@ setup(
             "hypothesis",
             "jsonschema",
             "mcap-ros2-support",
-            "mujoco",
+            "mujoco>=3.7",
             "catkin-pkg",
             "setuptools>=64",
             "wheel",

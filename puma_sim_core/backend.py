@@ -90,6 +90,10 @@ if BACKEND == "numba":
         """Compile as a part of its callers."""
         return numba.njit(function, nogil=True, error_model="numpy", forceinline=True)
 
+    def outlined(function):
+        """Compile as a function of its own that compiled callers call."""
+        return numba.njit(function, nogil=True, error_model="numpy")
+
     def compiled(function):
         """Compile as an entry that Python calls, kept on disk."""
         return _jit(function)
@@ -97,6 +101,10 @@ if BACKEND == "numba":
 else:
 
     def inlined(function):
+        """The function as it is."""
+        return function
+
+    def outlined(function):
         """The function as it is."""
         return function
 

@@ -12,8 +12,8 @@ step goes on from there with new states. So the order of the Runge-Kutta step su
 
 from __future__ import annotations
 
-from .backend import inlined
-from .kernel import (LOCKED, STILL, constant_level, effect_torques, has_bristle,
+from .backend import inlined, outlined
+from .kernel import (DRY, LOCKED, STILL, VARYING, constant_level, effect_torques, has_bristle,
                      library_trigonometry, remove_rows, rigid_body, rk4_step, sliding_level, solve)
 
 #: changes of contact that are located inside one step; more than that is chatter, see below
@@ -47,17 +47,13 @@ def has_dry(j, p):
 
 
 @inlined
-def contact_direction(j, locked, w, p):
-    """`slip_direction` of joint j, 0 also where it has no dry friction to slide against."""
-    return slip_direction(j, locked, w, p) if has_dry(j, p) else 0.0
-
-
-@inlined
-def may_stick(j, locked, w, p):
-    """1.0 for a joint at rest that has dry friction to hold it."""
-    if locked != 0.0 or w != 0.0 or has_bristle(j, p):
-        return 0.0
-    return 1.0 if has_dry(j, p) else 0.0
+def motion(j, locked, w, p):
+    """(direction of sliding, 1.0 if at rest) of joint j; (0, 0) where dry friction does nothing."""
+    if locked != 0.0 or has_bristle(j, p) or not has_dry(j, p):
+        return 0.0, 0.0
+    if w == 0.0:
+        return 0.0, 1.0
+    return 1.0 if w > 0.0 else -1.0, 0.0
 
 
 @inlined
@@ -111,12 +107,9 @@ def contact(x, body, drive, active, p, lock):
     """
     _, _, _, w1, w2, w3, _, _, _ = x
     l1, l2, l3, a1, a2, a3 = lock
-    s1 = contact_direction(0, l1, w1, p)
-    s2 = contact_direction(1, l2, w2, p)
-    s3 = contact_direction(2, l3, w3, p)
-    may1 = may_stick(0, l1, w1, p)
-    may2 = may_stick(1, l2, w2, p)
-    may3 = may_stick(2, l3, w3, p)
+    s1, may1 = motion(0, l1, w1, p)
+    s2, may2 = motion(1, l2, w2, p)
+    s3, may3 = motion(2, l3, w3, p)
     held, slip = lock, sliding(s1, s2, s3, p)
     if may1 + may2 + may3 > 0.0:
         m11, m12, m13, m22, m23, m33, b1, b2, b3 = free_system(x, slip, body, drive, active, p)
@@ -190,6 +183,12 @@ def halt(x, slip):
     return q1, q2, q3, w1, w2, w3, i1, i2, i3
 
 
+@outlined
+def cold_step(x, z, v, h, body, drive, active, p, held, slip):
+    """`kernel.rk4_step` as a call, for the places that few steps pass."""
+    return rk4_step(x, z, v, h, body, drive, active, p, held, slip)
+
+
 @inlined
 def contact_step(x, z, v, h, body, drive, active, p, lock):
     """State and bristles after `h` seconds with dry friction; arguments as `kernel.rk4_step`.
@@ -198,10 +197,17 @@ def contact_step(x, z, v, h, body, drive, active, p, lock):
     change more than a dozen times within one step (joints that chatter against each other), the
     rest of that step is taken in one go, and a joint that reverses in it is stopped at its end.
     """
-    if x[3] != 0.0 and x[4] != 0.0 and x[5] != 0.0:
+    if ((x[3] != 0.0 or lock[0] != 0.0) and (x[4] != 0.0 or lock[1] != 0.0)
+            and (x[5] != 0.0 or lock[2] != 0.0)):
         slip = sliding(slip_direction(0, lock[0], x[3], p), slip_direction(1, lock[1], x[4], p),
                        slip_direction(2, lock[2], x[5], p), p)
-        y, z_end = rk4_step(x, z, v, h, body, drive, active, p, lock, slip)
+        # stages given as literals let the compiler drop all others
+        if active == DRY:
+            y, z_end = rk4_step(x, z, v, h, body, drive, DRY, p, lock, slip)
+        elif active & ~(DRY | VARYING) == 0:
+            y, z_end = rk4_step(x, z, v, h, body, drive, DRY | VARYING, p, lock, slip)
+        else:
+            y, z_end = rk4_step(x, z, v, h, body, drive, active, p, lock, slip)
         if slip[0] * y[3] >= 0.0 and slip[1] * y[4] >= 0.0 and slip[2] * y[5] >= 0.0:
             return y, z_end
     return changing_step(x, z, v, h, body, drive, active, p, lock)
@@ -217,7 +223,7 @@ def changing_step(x, z, v, h, body, drive, active, p, lock):
         stages = active
         if held[0] + held[1] + held[2] > 0.0:
             stages = active | LOCKED
-        y, z_end = rk4_step(x, z, v, left, body, drive, stages, p, held, slip)
+        y, z_end = cold_step(x, z, v, left, body, drive, stages, p, held, slip)
         g_high = margin(y, body, drive, active, p, lock, held, slip)
         if not g_high < 0.0:
             return y, z_end
@@ -233,7 +239,7 @@ def changing_step(x, z, v, h, body, drive, active, p, lock):
                 middle = low + (high - low) * g_low / (g_low - g_high)
                 if not low < middle < high:
                     break
-            y_middle, z_middle = rk4_step(x, z, v, middle, body, drive, stages, p, held, slip)
+            y_middle, z_middle = cold_step(x, z, v, middle, body, drive, stages, p, held, slip)
             g = margin(y_middle, body, drive, active, p, lock, held, slip)
             if g < 0.0:
                 high, g_high = middle, g
@@ -254,5 +260,5 @@ def changing_step(x, z, v, h, body, drive, active, p, lock):
     stages = active
     if held[0] + held[1] + held[2] > 0.0:
         stages = active | LOCKED
-    y, z_end = rk4_step(x, z, v, left, body, drive, stages, p, held, slip)
+    y, z_end = cold_step(x, z, v, left, body, drive, stages, p, held, slip)
     return halt(y, slip), z_end

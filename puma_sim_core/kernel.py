@@ -173,15 +173,18 @@ def remove_rows(m11, m12, m13, m22, m23, m33, b1, b2, b3, lock):
 @inlined
 def solve(m11, m12, m13, m22, m23, m33, b1, b2, b3):
     """Solution of the symmetric positive definite system by elimination from joint 3 upward."""
-    f2 = m23 / m33
-    f1 = m13 / m33
+    # m33 is a constant unless joint 3 is locked: its reciprocal leaves the loop over steps
+    k33 = 1.0 / m33
+    f2 = m23 * k33
+    f1 = m13 * k33
     n22 = m22 - f2 * m23
     n12 = m12 - f2 * m13
     r2 = b2 - f2 * b3
-    f = n12 / n22
+    k22 = 1.0 / n22
+    f = n12 * k22
     a1 = (b1 - f1 * b3 - f * r2) / (m11 - f1 * m13 - f * n12)
-    a2 = (r2 - n12 * a1) / n22
-    a3 = (b3 - m13 * a1 - m23 * a2) / m33
+    a2 = (r2 - n12 * a1) * k22
+    a3 = (b3 - m13 * a1 - m23 * a2) * k33
     return a1, a2, a3
 
 

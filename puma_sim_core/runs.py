@@ -13,7 +13,7 @@ from .backend import compiled, inlined
 from .contact import contact, contact_step
 from .control.servo import MEMORY_WIDTH, SERVO_WIDTH, servo_at_rest, servo_sample
 from .effects.amplifier import SATURATION, saturated
-from .kernel import (BRISTLE, DRY, LOCKED, NO_SLIP, STILL, WIDTH, bristle_torques, derivative,
+from .kernel import (BRISTLE, DRY, FREE, LOCKED, NO_SLIP, STILL, WIDTH, bristle_torques, derivative,
                      library_trigonometry, rk4_step)
 
 _SATURATION = _registry.slot(SATURATION)
@@ -36,7 +36,11 @@ def terminal_voltages(v1, v2, v3, p):
 @inlined
 def advance(x, z, v, h, n, body, drive, active, p, lock):
     """State and bristles after n steps of h seconds with the voltages v held."""
-    if active & DRY:
+    if active == 0:
+        for _ in range(n):
+            # the literal 0 lets the compiler drop every stage that is not needed
+            x, z = rk4_step(x, z, v, h, body, drive, 0, p, FREE, NO_SLIP)
+    elif active & DRY:
         for _ in range(n):
             x, z = contact_step(x, z, v, h, body, drive, active, p, lock)
     else:

@@ -286,7 +286,7 @@ class Simulator:
         memory = native(servo_memory(tuple(setpoint[0].tolist()), self.state[:3], servo_table))
         n = len(setpoint) * samples
         out, volts = np.empty((n + 1, 12)), np.zeros((n + 1, 3))
-        self._finish(_guarded(run_servo, self.state, self.bristles, _rows(setpoint), samples, h,
+        self._finish(_guarded(out, run_servo, self.state, self.bristles, _rows(setpoint), samples, h,
                               servo_table, memory, *self._kernel, out, volts), out)
         volts[-1] = volts[-2]
         time = self.time + h * np.arange(n + 1)
@@ -299,7 +299,7 @@ class Simulator:
         """Rows of state and bristles, one more than there are rows of voltage."""
         counts = step_counts(duration, self.max_step)
         out = np.empty((len(duration) + 1, 12))
-        self._finish(_guarded(run_voltages, self.state, self.bristles, _rows(voltage),
+        self._finish(_guarded(out, run_voltages, self.state, self.bristles, _rows(voltage),
                               counts if BACKEND == "numba" else counts.tolist(),
                               _rows(duration / counts), *self._kernel, out), out)
         return out
@@ -331,10 +331,11 @@ def _rows(values: np.ndarray):
     return np.ascontiguousarray(values) if BACKEND == "numba" else values.tolist()
 
 
-def _guarded(run, *arguments) -> int:
-    """A run's first row that is not finite; plain Python reports some of those by an exception."""
-    out = next(a for a in arguments if isinstance(a, np.ndarray) and a.ndim == 2
-               and a.shape[1] == 12)
+def _guarded(out, run, *arguments) -> int:
+    """A run's first row of `out` that is not finite; plain Python tells some of those by an
+    exception."""
+    if BACKEND == "numba":
+        return run(*arguments)
     out[:] = np.nan
     try:
         return run(*arguments)

@@ -11,6 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import rclpy
+from rclpy.duration import Duration
+from rclpy.signals import SignalHandlerOptions
 
 from puma_sim_core.bag import iterate_messages
 from puma_sim_core.errors import BagError, PumaSimError
@@ -51,7 +53,8 @@ def publish_bag(path: str | Path, *, rate: float = 1.0, commands_only: bool | No
     if not 0.0 < rate < float("inf"):
         raise BagError(f"rate {rate}", where=path, expected="a finite number above 0")
     recorded = list(iterate_messages(path))
-    rclpy.init()
+    # without handlers of rclpy's: an interruption ends a wait here, not ROS under our feet
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("bag_publisher")
     try:
         publishers = {}
@@ -77,7 +80,7 @@ def publish_bag(path: str | Path, *, rate: float = 1.0, commands_only: bool | No
             # bytes go out as they are: what is received is what was recorded
             publishers[message.topic].publish(message.data)
         for publisher in publishers.values():
-            publisher.wait_for_all_acked(rclpy.duration.Duration(seconds=1))
+            publisher.wait_for_all_acked(Duration(seconds=1))
     finally:
         node.destroy_node()
         rclpy.try_shutdown()

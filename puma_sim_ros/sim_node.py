@@ -89,6 +89,7 @@ class SimNode(Node):
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self)
         self._pacer = Pacer(self._config.period_ns, self._values["real_time_factor"])
+        self._restart_pacer = False
         self._sent_at = 0.0
 
     def _make_publishers(self) -> None:
@@ -224,7 +225,7 @@ class SimNode(Node):
             before[2].close()
         self._commands.clear()
         self._failed_step = None
-        self._pacer.restart()
+        self._restart_pacer = True
         if self._config != before[0]:
             self._publish_model()
         self._publish_state()
@@ -266,7 +267,7 @@ class SimNode(Node):
         self._pacer.real_time_factor = self._values["real_time_factor"]
         if self._paused != self._values["paused"]:
             self._paused = self._values["paused"]
-            self._pacer.restart()
+            self._restart_pacer = True
 
     # ---- health
 
@@ -321,6 +322,11 @@ class SimNode(Node):
         # before the deadline is slept instead, and commands that arrive meanwhile are taken then
         wait = _LONGEST_WAIT if self._paused else self._pacer.remaining() - _SLEPT
         self._executor.spin_once(timeout_sec=min(max(wait, 0.0), _LONGEST_WAIT))
+        if self._restart_pacer:
+            # not in the service that asked for it: an answer may take a tenth of a second, when
+            # the middleware has not yet found its way to who asked
+            self._restart_pacer = False
+            self._pacer.restart()
         if self._paused or self._pacer.remaining() > _SLEPT:
             return
         time.sleep(self._pacer.remaining())

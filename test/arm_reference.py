@@ -4,11 +4,14 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.kinematics import link_transforms
+from puma_sim_core.parameters import load_parameters
 from puma_sim_core.plant import Plant
 from puma_sim_core.rigid_body import arm_table, coriolis, gravity_torque, inertia
 
@@ -18,13 +21,15 @@ VISCOUS = tuple(f"viscous_friction:joint={j},coefficient={h}"
 START = ((0.1, -0.4, 0.7), (0.3, -0.2, 0.5), (0.5, -1.0, 0.8))
 
 
+arm_of = cache(load_parameters)
+
+
 def plant_of(*effects: str, name: str = "bejczy", torque_form: str = "physical") -> Plant:
-    return Plant.of(name, [parse_effect(text) for text in effects], torque_form)
+    return Plant(arm_of(name), tuple(map(parse_effect, effects)), torque_form)
 
 
 def open_circuit(plant: Plant) -> Plant:
     """The plant with motors that carry no current, whatever turns them, at 0 V."""
-    from dataclasses import replace
     motors = tuple(replace(motor, back_emf=0.0) for motor in plant.arm.motors)
     return Plant(replace(plant.arm, motors=motors), plant.effects, plant.torque_form)
 

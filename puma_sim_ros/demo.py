@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The whole in one go: `python -m puma_sim_ros.demo --out DIR`.
+
+Starts `sim_node` and the example controller as two processes over DDS, lets the controller lead
+the arm down its vertical line, ends the node, replays the bag through the core, draws the motion
+and says how it went.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from puma_sim_core.bag import BagContents, read_bag
+from puma_sim_core.errors import PumaSimError
+from puma_sim_core.recording import Recording, read_csv
+from puma_sim_core.replay import replay, session_of
+from puma_sim_core.resources import config_path
+
+#: longest time for the motion, the first start of the compiled model included [s]
+_PATIENCE = 50.0
+
+
+class DemoError(PumaSimError):
+    """A program of the demonstration failed."""
+
+
+def _environment() -> dict[str, str]:
+    """That of the children: a domain of their own unless the user has one, this machine only."""
+    environment = dict(os.environ)
+    environment.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
+    environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    # a checkout that is not installed serves as well
+    root = str(Path(__file__).resolve().parent.parent)
+    environment["PYTHONPATH"] = os.pathsep.join(
+        filter(None, (root, environment.get("PYTHONPATH"))))
+    return environment
+
+
+def _start(module: str, parameters: dict[str, object], log: Path) -> subprocess.Popen:
+    words = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
+    file = config_path(f"{module}.yaml")
+    with open(log, "w", encoding="utf-8") as output:
+        return subprocess.Popen(
+            [sys.executable, "-m", f"puma_sim_ros.{module}", "--ros-args", "--params-file",
+             str(file), *words], stdout=output, stderr=subprocess.STDOUT, env=_environment())
+
+
+def _check(condition: bool, what: str, log: Path) -> None:
+    if not condition:
+        tail = "\n".join(log.read_text(encoding="utf-8").splitlines()[-8:])
+        raise DemoError(f"{what}; the end of its log is\n{tail}", where=log)
+
+
+def move(out: Path, mode: str) -> tuple[Path, Recording, str]:
+    """Run both programs. Returns the bag, what the controller noted, and the node's last line.
+
+    Raises
+    ------
+    DemoError : one of them failed, or did not end in time.
+    """
+    bag = out / "bag"
+    number = 1
+    while bag.exists():
+        bag, number = out / f"bag_{number}", number + 1
+    logs = {name: out / f"{name}.log" for name in ("sim_node", "external_controller")}
+    table = out / "controller.csv"
+    table.unlink(missing_ok=True)
+    node = _start("sim_node", {"mode": mode, "bag_path": bag, "paused": mode == "realtime"},
+                  logs["sim_node"])
+    controller = None
+    try:
+        controller = _start("external_controller", {"log_path": table, "timeout": _PATIENCE},
+                            logs["external_controller"])
+        end = time.monotonic() + _PATIENCE
+        while controller.poll() is None and time.monotonic() < end:
+            _check(node.poll() is None, "sim_node ended by itself", logs["sim_node"])
+            time.sleep(0.05)
+        _check(controller.poll() == 0, "the controller failed", logs["external_controller"])
+        node.send_signal(signal.SIGINT)
+        try:
+            node.wait(timeout=10.0)
+        except subprocess.TimeoutExpired:
+            pass
+        _check(node.poll() == 0, "sim_node did not end well", logs["sim_node"])
+    finally:
+        for process in (controller, node):
+            if process is not None and process.poll() is None:
+                process.kill()
+                process.wait()
+    summary = logs["sim_node"].read_text(encoding="utf-8").splitlines()[-1]
+    return bag, read_csv(table, required=("voltage", "setpoint", "position")), summary
+
+
+def _lines(bag: BagContents, table: Recording, summary: str) -> list[str]:
+    """What a person wants to know."""
+    error = np.degrees(table.setpoint - table.position)
+    rms, worst = np.sqrt((error**2).mean(axis=0)), np.abs(error).max(axis=0)
+    period = bag.period_ns * 1e-9
+    lost = round((table.time[-1] - table.time[0]) / period) + 1 - len(table)
+    lines = [
+        f"tracking error: rms {rms[0]:.3f}, {rms[1]:.3f}, {rms[2]:.3f} deg; "
+        f"worst {worst[0]:.3f}, {worst[1]:.3f}, {worst[2]:.3f} deg (joints 1, 2, 3)",
+        f"steps: {bag.steps[-1]} of {1e3 * period:g} ms, "
+        f"{lost} lost on the way to the controller",
+    ]
+    found = re.search(r"overruns (\d+), lateness median ([\d.]+) ms, p99 ([\d.]+) ms", summary)
+    if found:
+        lines.append("lateness: median {1} ms, 99 % below {2} ms; {0} overruns"
+                     .format(*found.groups()))
+    return lines
+
+
+def draw(bag: BagContents, table: Recording, arm, path: Path) -> bool:
+    """A picture of the motion; False where matplotlib is not installed."""
+    if importlib.util.find_spec("matplotlib") is None:
+        return False
+    from .demo_picture import draw_motion
+    draw_motion(bag, table, arm, path)
+    return True
+
+
+def run(out: Path, mode: str) -> None:
+    """The demonstration; raises PumaSimError when something of it fails."""
+    out.mkdir(parents=True, exist_ok=True)
+    print("sim_node and external_controller, two processes over DDS: the arm moves down a vertical "
+          f"line ({mode}).\nThis takes about 10 s; half a minute when the model is first compiled.",
+          flush=True)
+    bag_path, table, summary = move(out, mode)
+    result = replay(bag_path)
+    bag = read_bag(bag_path)
+    for line in _lines(bag, table, summary):
+        print(line)
+    print(f"replay identical: {result.steps} steps, to the last bit" if result.identical
+          else f"replay differs: {result.first_difference}")
+    print(f"bag: {bag_path}")
+    arm = session_of(bag_path, bag.config_text)[0].plant.arm
+    picture = out / "motion.png"
+    if draw(bag, table, arm, picture):
+        print(f"picture: {picture}")
+    else:
+        print("picture: none, matplotlib is not installed")
+    if not result.identical:
+        raise DemoError("the replay differs from the recording", where=bag_path)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Entry point; returns the exit status."""
+    parser = argparse.ArgumentParser(prog="python -m puma_sim_ros.demo", description=__doc__)
+    parser.add_argument("--out", type=Path, required=True, help="folder for the bag and the rest")
+    parser.add_argument("--mode", choices=("realtime", "lockstep"), default="realtime")
+    options = parser.parse_args(args)
+    if importlib.util.find_spec("rclpy") is None:
+        print("demo: rclpy is not installed; on a machine without ROS 2:\n"
+              "  pip install 'ros-jazzy-rclpy[fastrtps]' ros-jazzy-common-interfaces",
+              file=sys.stderr)
+        return 2
+    try:
+        run(options.out, options.mode)
+    except (PumaSimError, OSError) as error:
+        print(f"demo: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
