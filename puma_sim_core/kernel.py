@@ -272,14 +272,14 @@ def build_step(trigonometry):
         """State and bristles after one classical Runge-Kutta step of `h` seconds (equation 6.5).
 
         x is the state, z the deflections of the bristles [rad], v the voltages [V] held over the
-        step (appendix B: constant input keeps the order). The bristles follow the mean velocity
-        of each stage exactly (`bristle_flow`), bounded by the friction at half the step; they
-        are of second order where they yield.
+        step (appendix B: constant input keeps the order). The bristles follow the travel of
+        the joint at each stage exactly (`bristle_flow`), bounded by the friction at half the
+        step: as springs they keep the order and the stability of the method, and they are of
+        second order where they yield.
         """
         q1, q2, q3, w1, w2, w3, i1, i2, i3 = x
         v1, v2, v3 = v
         half = 0.5 * h
-        quarter = 0.25 * h
         bend = STILL
         level = STILL
         z_end = z
@@ -296,7 +296,7 @@ def build_step(trigonometry):
         if active & BRISTLE:
             level = bristle_levels(u1, u2, u3, p)
             _, bend = bristle_torques(
-                z, quarter * (w1 + u1), quarter * (w2 + u2), quarter * (w3 + u3), level, p)
+                z, half * w1, half * w2, half * w3, level, p)
         r2 = q2 + half * w2
         r3 = q3 + half * w3
         b1, b2, b3, f1, f2, f3 = derivative(
@@ -309,7 +309,7 @@ def build_step(trigonometry):
         x3 = w3 + half * b3
         if active & BRISTLE:
             _, bend = bristle_torques(
-                z, quarter * (w1 + x1), quarter * (w2 + x2), quarter * (w3 + x3), level, p)
+                z, half * u1, half * u2, half * u3, level, p)
         r2 = q2 + half * u2
         r3 = q3 + half * u3
         c1, c2, c3, g1, g2, g3 = derivative(

@@ -20,12 +20,12 @@ from .effects import WIDTH, slot
 from .effects.amplifier import CURRENT_LIMITER
 from .errors import NonFiniteStateError, ParameterError, RecordingError
 from .plant import Plant
-from .recording import Recording
+from .recording import GROUPS, Recording
 from .runs import terminal_voltages
 from .simulator import Simulator, native
 
 #: half of the stretch of positions that a slope is taken from [s]: a cubic through 40 ms of a
-#: motion of 8 Hz gives its velocity to 0.2 %, and encoder counts of 1e-4 rad at 1 kHz spread it
+#: motion of 8 Hz gives its velocity to 0.3 %, and encoder counts of 1e-4 rad at 1 kHz spread it
 #: by 1 mrad/s
 HALF_STRETCH = 0.020
 #: time constants L/R of past voltage that a current is made of; what is older counts e^-40
@@ -156,8 +156,8 @@ def run_windows(simulator: Simulator, log: Recording, interval: float, *,
     NonFiniteStateError : the state stopped being finite; ``step`` is the row of the log.
     """
     if log.voltage is None or log.position is None or len(log) < 2:
-        raise RecordingError(f"a log of {len(log)} rows, {_present(log)}", where="restart",
-                             expected="two rows or more with voltages and positions")
+        raise RecordingError(f"{len(log)} row{'s' * (len(log) != 1)} with {_present(log)}",
+                             where="log", expected="two rows or more with voltage and position")
     starts = window_starts(log.time, interval)
     ends = np.append(starts[1:], len(log) - 1)
     state = np.empty((len(log), 9))
@@ -194,5 +194,5 @@ def _restart(simulator: Simulator, log: Recording, row: int) -> None:
 
 
 def _present(log: Recording) -> str:
-    return "with " + ", ".join(name for name in ("voltage", "position", "velocity", "current")
-                               if getattr(log, name) is not None)
+    names = [name for name in GROUPS if getattr(log, name) is not None]
+    return ", ".join(names) or "times alone"

@@ -11,7 +11,7 @@ from __future__ import annotations
 from . import effects as _registry
 from .backend import compiled, inlined
 from .contact import contact, contact_step
-from .control.servo import MEMORY_WIDTH, SERVO_WIDTH, servo_at_rest, servo_sample
+from .control.servo import MEMORY_WIDTH, SERVO_WIDTH, delayed, servo_at_rest, servo_sample
 from .effects.amplifier import SATURATION, saturated
 from .kernel import (BRISTLE, DRY, FREE, LOCKED, NO_SLIP, STILL, WIDTH, bristle_torques, derivative,
                      library_trigonometry, rk4_step)
@@ -86,12 +86,13 @@ def run_voltages(x, z, volts, counts, steps, body, drive, active, p, lock, out):
 
 
 @compiled
-def run_servo(x, z, setpoints, samples, h, servo, memory, body, drive, active, p, lock, out,
-              volts):
+def run_servo(x, z, setpoints, samples, steps, h, servo, memory, body, drive, active, p, lock,
+              out, volts):
     """Run under the digital servo.
 
-    setpoints (n, 3) [rad], each held for `samples` samples of h seconds; servo: the table of
-    `ServoConfig`; memory: flat, 3 * MEMORY_WIDTH, taken up and left as the servo's memory.
+    setpoints (n, 3) [rad], each held for `samples` samples of `steps` steps of h seconds; servo:
+    the table of `ServoConfig`; memory: flat, `servo_memory` and `ServoConfig.held_back`, taken up
+    and left as the servo's memory.
     out (n * samples + 1, 12) and volts (n * samples, 3), a row a sample. Returns the first row
     of `out` that is not finite, or -1.
     """
@@ -103,9 +104,9 @@ def run_servo(x, z, setpoints, samples, h, servo, memory, body, drive, active, p
                 m = j * MEMORY_WIDTH
                 u, memory[m], memory[m + 1] = servo_sample(
                     setpoints[r][j], x[j], memory[m], memory[m + 1], servo, j * SERVO_WIDTH)
-                volts[row, j] = terminal_voltage(j, u, p)
+                volts[row, j] = terminal_voltage(j, delayed(j, u, memory, servo), p)
             v = (volts[row, 0], volts[row, 1], volts[row, 2])
-            x, z = advance(x, z, v, h, 1, body, drive, active, p, lock)
+            x, z = advance(x, z, v, h, steps, body, drive, active, p, lock)
             row += 1
             if not is_finite(x):
                 return row
@@ -115,7 +116,8 @@ def run_servo(x, z, setpoints, samples, h, servo, memory, body, drive, active, p
 
 @compiled
 def servo_memory(setpoint, position, servo):
-    """The memory of a servo at rest for `run_servo`, 3 * MEMORY_WIDTH numbers.
+    """The memory of a servo at rest for `run_servo`, 3 * MEMORY_WIDTH numbers, without those that
+    a delay holds back.
 
     setpoint, position : triples [rad]; servo : the table of `ServoConfig`.
     """

@@ -192,7 +192,8 @@ class Session:
         self._x = (*c.initial_position, *c.initial_velocity, *c.initial_current)
         self._bristles = _NOTHING
         self._target = list(c.initial_position if c.command_interface == "position" else _NOTHING)
-        self._memory = native(servo_memory(c.initial_position, c.initial_position, self._servo))
+        self._memory = native([*servo_memory(c.initial_position, c.initial_position, self._servo),
+                               *c.servo.held_back()])
         self._fresh = False
         self.command_age_steps = 0
         self.counters = Counters()
@@ -299,7 +300,7 @@ class Session:
     def _step_servo(self):
         row = self._row[0]
         row[0], row[1], row[2] = self._target
-        bad = run_servo(self._x, self._bristles, self._row, self.config.substeps, self._h,
+        bad = run_servo(self._x, self._bristles, self._row, self.config.substeps, 1, self._h,
                         self._servo, self._memory, *self._kernel, self._servo_out,
                         self._servo_volts)
         return bad, self._servo_out[-1], tuple(self._servo_volts[-1].tolist())

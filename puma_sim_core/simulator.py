@@ -253,11 +253,12 @@ class Simulator:
 
     def run_servo(self, setpoint, servo: ServoConfig = ServoConfig(), *, period: float = 0.028,
                   samples: int = 30, voltage_limit: float = 40.0,
-                  acceleration: bool = False) -> Recording:
+                  acceleration: bool = False, held_voltage=(0.0, 0.0, 0.0)) -> Recording:
         """Run under the digital servo from the present state.
 
-        setpoint : (n, 3) [rad], each held for one period [s] of `samples` servo samples;
-        voltage_limit : at the motors [V].
+        setpoint : (n, 3) [rad], each held for one period [s] of `samples` servo samples, which
+        are integrated in steps of at most max_step; voltage_limit : at the motors [V];
+        held_voltage : what a servo with a delay asked for before the first sample [V].
 
         Returns
         -------
@@ -277,17 +278,19 @@ class Simulator:
         if not voltage_limit > 0.0:
             raise ParameterError(f"voltage_limit {voltage_limit!r} V",
                                  expected="a positive number")
-        h = check_step(period / samples, "period / samples")
-        if step_counts(np.array([h]), self.max_step)[0] > 1:
-            raise ParameterError(f"servo sample of {h * 1e3:.6g} ms",
-                                 expected=f"at most max_step = {self.max_step * 1e3:.6g} ms")
+        if not (isfinite(period) and period > 0.0):
+            raise ParameterError(f"period {period!r} s", expected="a positive number")
+        h = period / samples
+        steps = int(step_counts(np.array([h]), self.max_step)[0])
         servo_table = native(servo.table(h, voltage_limit,
                                    [m.gear_ratio for m in self.plant.arm.motors]))
-        memory = native(servo_memory(tuple(setpoint[0].tolist()), self.state[:3], servo_table))
+        memory = native([*servo_memory(tuple(setpoint[0].tolist()), self.state[:3], servo_table),
+                         *servo.held_back(three(held_voltage, "held_voltage"))])
         n = len(setpoint) * samples
         out, volts = np.empty((n + 1, 12)), np.zeros((n + 1, 3))
-        self._finish(_guarded(out, run_servo, self.state, self.bristles, _rows(setpoint), samples, h,
-                              servo_table, memory, *self._kernel, out, volts), out)
+        self._finish(_guarded(out, run_servo, self.state, self.bristles, _rows(setpoint), samples,
+                              steps, h / steps, servo_table, memory, *self._kernel, out, volts),
+                     out)
         volts[-1] = volts[-2]
         time = self.time + h * np.arange(n + 1)
         self.time = float(time[-1])

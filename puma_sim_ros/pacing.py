@@ -133,5 +133,5 @@ class Pacer:
         """One line for a person."""
         late = self.lateness
         return (f"steps {self.steps}, overruns {self.overruns}, lateness "
-                f"median {1e3 * late.quantile(0.5):.3f} ms, p99 {1e3 * late.quantile(0.99):.3f} ms, "
-                f"worst {1e3 * late.worst:.3f} ms")
+                f"median {1e3 * late.quantile(0.5):.3f} ms, "
+                f"p99 {1e3 * late.quantile(0.99):.3f} ms, worst {1e3 * late.worst:.3f} ms")

@@ -9,11 +9,9 @@ from __future__ import annotations
 
 import contextlib
 import gc
-import itertools
 import signal
 import sys
 import time
-from pathlib import Path
 
 import rclpy
 import yaml
@@ -29,12 +27,13 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
-from puma_sim_core.errors import BagError, CommandError, NonFiniteStateError, PumaSimError
-from puma_sim_core.session import Session
+from puma_sim_core.errors import CommandError, NonFiniteStateError, PumaSimError
+from puma_sim_core.session import Command, Session, SessionConfig
 from puma_sim_core.urdf import arm_urdf
 
 from . import node_parameters
 from .messages import StateMessages, diagnostics, qos
+from .node_bag import NodeBag
 from .pacing import Pacer
 
 #: longest wait [s] before the loop looks at signals again
@@ -70,9 +69,7 @@ class SimNode(Node):
         self._paused = self._values["paused"]
         self._lockstep = self._values["mode"] == "lockstep"
         self._failed_step: int | None = None
-        self._commands = []
-        self._resets = 0
-        self._recorder = None
+        self._commands: list[Command] = []
         self._messages = StateMessages(self._config.joint_names, self._config.frame_id)
 
         self._make_publishers()
@@ -84,7 +81,8 @@ class SimNode(Node):
         self.add_post_set_parameters_callback(self._on_changed)
         self.create_timer(1.0, self._publish_diagnostics, clock=Clock(
             clock_type=ClockType.STEADY_TIME))
-        self._recorder = self._new_recorder()
+        self._bag = NodeBag(self._values["bag_path"], self.get_namespace())
+        self._bag.start(self._config, *_texts(self._config), self._session.state)
 
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self)
@@ -138,11 +136,9 @@ class SimNode(Node):
 
     def _step(self) -> str | None:
         """One period; returns the error if the state stopped being finite."""
+        self._bag.commands(self._session.state.time_ns, self._commands)
+        self._commands.clear()
         try:
-            before = self._session.state
-            for command in self._commands:
-                self._record("write_command", before.time_ns, command)
-            self._commands.clear()
             state = self._session.step()
         except NonFiniteStateError as error:
             self._failed_step = error.step
@@ -150,7 +146,7 @@ class SimNode(Node):
             self.set_parameters([Parameter("paused", value=True)])
             return str(error)
         self._publish_state()
-        self._record("write_state", state)
+        self._bag.state(state)
         return None
 
     def _publish_state(self) -> None:
@@ -164,71 +160,30 @@ class SimNode(Node):
         self._sent_at = time.monotonic()
 
     def _publish_model(self) -> None:
-        self._model.publish(String(data=self._config_text()))
-        self._description.publish(String(data=self._urdf()))
-
-    def _config_text(self) -> str:
-        return yaml.safe_dump(self._config.to_mapping(), sort_keys=False)
-
-    def _urdf(self) -> str:
-        config = self._config
-        return arm_urdf(config.plant.arm, config.joint_names, config.frame_id,
-                        config.voltage_limit)
-
-    # ---- the bag
-
-    def _new_recorder(self):
-        """Recorder of the session from its present state, or None without bag_path."""
-        if not self._values["bag_path"]:
-            return None
-        try:
-            from puma_sim_core.bag import BagRecorder
-        except ImportError as error:
-            raise BagError(f"{error.name} is not installed", where="parameter 'bag_path'",
-                           expected="the Python packages mcap and rosbags") from error
-        path = Path(self._values["bag_path"])
-        if self._resets:
-            numbered = (path.with_name(f"{path.name}_{n}") for n in itertools.count(1))
-            path = next(candidate for candidate in numbered if not candidate.exists())
-        recorder = BagRecorder(
-            path, namespace=self.get_namespace(), config_text=self._config_text(),
-            urdf=self._urdf(), joint_names=self._config.joint_names,
-            frame_id=self._config.frame_id, command_interface=self._config.command_interface,
-            period_ns=self._config.period_ns)
-        recorder.write_state(self._session.state)
-        return recorder
-
-    def _record(self, what: str, *arguments) -> None:
-        if self._recorder is not None:
-            getattr(self._recorder, what)(*arguments)
-
-    def close(self) -> None:
-        """Finish the bag. Raises BagError when that fails."""
-        recorder, self._recorder = self._recorder, None
-        if recorder is not None:
-            recorder.close()
+        model, urdf = _texts(self._config)
+        self._model.publish(String(data=model))
+        self._description.publish(String(data=urdf))
 
     # ---- services and parameters
 
     def _on_reset(self, _request, response):
-        before = self._config, self._session, self._recorder
         try:
-            self._config = node_parameters.build_config(self._values, self._plant)
-            self._session = Session(self._config)
-            self._resets += 1
-            self._recorder = self._new_recorder()
+            config = node_parameters.build_config(self._values, self._plant)
+            session = Session(config)
+            former = self._bag.start(config, *_texts(config), session.state)
         except PumaSimError as error:
-            self._config, self._session, self._recorder = before
             response.success, response.message = False, str(error)
             return response
-        if before[2] is not None:
-            before[2].close()
+        changed = config != self._config
+        self._config, self._session = config, session
         self._commands.clear()
         self._failed_step = None
         self._restart_pacer = True
-        if self._config != before[0]:
+        if changed:
             self._publish_model()
         self._publish_state()
+        if former is not None:
+            former.close()
         response.success, response.message = True, self._where()
         return response
 
@@ -264,7 +219,8 @@ class SimNode(Node):
 
     def _on_changed(self, changes) -> None:
         self._values.update(node_parameters.values_of(changes))
-        self._pacer.real_time_factor = self._values["real_time_factor"]
+        if self._pacer.real_time_factor != self._values["real_time_factor"]:
+            self._pacer.real_time_factor = self._values["real_time_factor"]
         if self._paused != self._values["paused"]:
             self._paused = self._values["paused"]
             self._restart_pacer = True
@@ -294,7 +250,7 @@ class SimNode(Node):
             "commands rejected": counters.rejected,
             "commands saturated": counters.saturated,
             "command age [s]": f"{age * self._config.period:.9g}",
-            "bag": "" if self._recorder is None else str(self._recorder.path),
+            "bag": self._bag.path,
         }
         self._diagnostics.publish(diagnostics(self.get_clock().now().to_msg(),
                                               self.get_fully_qualified_name(), level, text,
@@ -351,11 +307,22 @@ class SimNode(Node):
         if not self._paused and time.monotonic() - self._sent_at > _REPEAT_AFTER:
             self._publish_state()
 
+    def close(self) -> None:
+        """Finish the bag. Raises BagError when that fails."""
+        self._bag.close()
+
     def summary(self) -> str:
         """One line on what was done."""
         if self._lockstep:
             return self._where()
         return f"{self._where()}; {self._pacer.summary()}"
+
+
+def _texts(config: SessionConfig) -> tuple[str, str]:
+    """Model and URDF of a session, as they are published and recorded."""
+    model = yaml.safe_dump(config.to_mapping(), sort_keys=False)
+    return model, arm_urdf(config.plant.arm, config.joint_names, config.frame_id,
+                           config.voltage_limit)
 
 
 def main(args=None) -> int:

@@ -69,19 +69,19 @@ def contents(folder: Path) -> dict[str, bytes]:
             for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
-def record_session(path, config: SessionConfig, commands: dict, steps: int, change=None) -> Path:
+def record_session(path, config: SessionConfig, commands: dict, steps: int,
+                   change=lambda state: state) -> Path:
     """A bag as the node writes it; `change(state)` may falsify what is written."""
     session = Session(config)
     with BagRecorder(path, namespace="/", config_text=yaml_text(config.to_mapping()), urdf=None,
                      joint_names=config.joint_names, frame_id=config.frame_id,
                      command_interface=config.command_interface,
                      period_ns=config.period_ns) as recorder:
-        recorder.write_state(session.state)
+        recorder.write_state(change(session.state))
         for step in range(steps):
             for names, values in commands.get(step, ()):
                 command = (session.command(values) if names is None
                            else session.command_joints(names, values))
                 recorder.write_command(session.state.time_ns, command)
-            state = session.step()
-            recorder.write_state(state if change is None else change(state))
+            recorder.write_state(change(session.step()))
     return path

@@ -341,7 +341,7 @@ def test_a_log_of_one_row_is_refused(tmp_path, refused):
     log = tmp_path / "log.csv"
     log.write_text(f"{HEADER},position1,position2,position3\n0,0,0,0,0,0,0\n")
     refused("simulate", log, "--out", tmp_path / "run.csv", "--restart", "2",
-            says=["a log of 1 row", "two rows or more"])
+            says=["log: 1 row with voltage, position", "two rows or more"])
 
 
 def test_a_log_that_the_arm_cannot_follow_is_named_by_its_row(tmp_path, refused):

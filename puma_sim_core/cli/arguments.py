@@ -41,12 +41,12 @@ def add_plant_arguments(parser: argparse.ArgumentParser) -> None:
     source = parser.add_mutually_exclusive_group()
     source.add_argument("--parameters", metavar="SET|FILE",
                         help="published set or parameter file of the arm (default bejczy; "
-                             "`puma-sim parameters` lists the sets)")
+                             "`puma-sim list` lists the sets)")
     source.add_argument("--model", metavar="FILE",
                         help="model file: parameters and effects in one")
     parser.add_argument("--effect", metavar="NAME:KEY=VALUE,...", action="append", default=[],
                         help="add an effect, such as coulomb_friction:joint=2,torque=12; may "
-                             "stand more than once (`puma-sim effects` lists them)")
+                             "stand more than once (`puma-sim list` lists them)")
     parser.add_argument("--torque-form", choices=("physical", "printed"),
                         help="torque at the joint: N kt i (the default), or kt i as equation 5.2 "
                              "prints it")

@@ -110,8 +110,8 @@ def run(options: argparse.Namespace) -> int:
         print(f"warning: {sentence}", file=sys.stderr)
     for line in _summary(options, result, errors):
         print(line, file=sys.stderr)
-    print(f"{len(result)} rows, {span:.6g} s simulated by the "
-          f"{BACKEND} kernel; {time.perf_counter() - begin:.2f} s in all", file=sys.stderr)
+    print(f"{len(result)} row{'s' * (len(result) != 1)}, {span:.6g} s simulated by the {BACKEND} "
+          f"kernel; {time.perf_counter() - begin:.2f} s in all", file=sys.stderr)
     return 0
 
 

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """The digital joint servo of section 7.6: setpoints each 28 ms, thirty samples in between.
 
 One sample of a joint is a chain: encoder counts, PID, digital-to-analogue converter, power
-amplifier (a constant gain). Counts and converter are ideal unless they are asked for.
+amplifier (a constant gain). Counts and converter are ideal, and there is no delay, unless they
+are asked for.
 """
 
 from __future__ import annotations
@@ -15,10 +17,15 @@ from ..errors import ParameterError
 from .pid import PidGains, pid_law
 
 #: numbers that the kernel reads for each joint: Kg, h/Ti, Td/h, limit of the output [V],
-#: encoder step [rad], converter step [V], amplifier gain, derivative on the measurement (1.0)
-SERVO_WIDTH = 8
-#: numbers that one joint's servo remembers: the sum (h/Ti) e, the last d
+#: encoder step [rad], converter step [V], amplifier gain, derivative on the measurement (1.0),
+#: delay [samples]
+SERVO_WIDTH = 9
+#: numbers that one joint's servo remembers: the sum (h/Ti) e, the last d; behind those of the
+#: three joints stand the voltages that the delay holds back, joint by joint, the oldest first
 MEMORY_WIDTH = 2
+
+#: longest delay [samples], about a second at 28/30 ms
+GREATEST_DELAY = 1000
 
 #: Ziegler-Nichols settings from a fifth of the ultimate gains at 28/30 ms (upright, aligned and
 #: joint 3), with the periods stretched: well damped, and volts left for the motion
@@ -38,6 +45,7 @@ class ServoConfig:
         the motor +- the voltage limit.
     encoder_counts : counts a motor turn (the PUMA has 1000), None for an ideal encoder.
     derivative_on_measurement : a step of the setpoint then does not kick.
+    delay_samples : samples by which a voltage acts later than the sample that it answers.
     """
 
     gains: tuple[PidGains, PidGains, PidGains] = DEFAULT_GAINS
@@ -45,6 +53,7 @@ class ServoConfig:
     converter_bits: int | None = None
     encoder_counts: int | None = None
     derivative_on_measurement: bool = True
+    delay_samples: int = 0
 
     def __post_init__(self):
         object.__setattr__(self, "gains", tuple(self.gains))
@@ -60,6 +69,10 @@ class ServoConfig:
                                       or not low <= value <= high):
                 raise ParameterError(f"{name} {value!r}", where="servo",
                                      expected=f"a whole number from {low} to {high}, or none")
+        if isinstance(self.delay_samples, bool) or not isinstance(self.delay_samples, int) \
+                or not 0 <= self.delay_samples <= GREATEST_DELAY:
+            raise ParameterError(f"delay_samples {self.delay_samples!r}", where="servo",
+                                 expected=f"a whole number from 0 to {GREATEST_DELAY}")
 
     def table(self, period: float, voltage_limit: float, gear_ratios) -> list[float]:
         """The flat table of 3 * SERVO_WIDTH numbers that the kernel reads.
@@ -75,8 +88,14 @@ class ServoConfig:
                       limit,
                       0.0 if counts is None else 2.0 * pi / (counts * abs(ratio)),
                       0.0 if bits is None or limit == inf else 2.0 * limit / 2.0 ** bits,
-                      self.amplifier_gain, 1.0 if self.derivative_on_measurement else 0.0]
+                      self.amplifier_gain, 1.0 if self.derivative_on_measurement else 0.0,
+                      float(self.delay_samples)]
         return table
+
+    def held_back(self, voltage=(0.0, 0.0, 0.0)) -> tuple[float, ...]:
+        """The part of the memory that the delay needs, filled with the voltages [V] that were
+        asked for before the first sample (none by default)."""
+        return tuple(float(v) for v in voltage for _ in range(self.delay_samples))
 
     def to_mapping(self) -> dict:
         """Plain values for a file."""
@@ -84,7 +103,8 @@ class ServoConfig:
                            "derivative_time": g.derivative_time} for g in self.gains],
                 "amplifier_gain": self.amplifier_gain, "converter_bits": self.converter_bits,
                 "encoder_counts": self.encoder_counts,
-                "derivative_on_measurement": self.derivative_on_measurement}
+                "derivative_on_measurement": self.derivative_on_measurement,
+                "delay_samples": self.delay_samples}
 
     @classmethod
     def from_mapping(cls, mapping: dict) -> ServoConfig:
@@ -128,6 +148,20 @@ def servo_sample(setpoint, q, total, before, s, k):
     if s[k + 5] > 0.0:
         u = min(u, s[k + 3] - s[k + 5])
     return u * s[k + 6], total, d_now
+
+
+@inlined
+def delayed(j, u, memory, s):
+    """The voltage of joint j that acts now: the oldest held back, whose place u takes [V]."""
+    delay = int(s[j * SERVO_WIDTH + 8])
+    if delay == 0:
+        return u
+    k = 3 * MEMORY_WIDTH + j * delay
+    oldest = memory[k]
+    for i in range(k, k + delay - 1):
+        memory[i] = memory[i + 1]
+    memory[k + delay - 1] = u
+    return oldest
 
 
 @inlined

@@ -20,6 +20,8 @@ def attach_payload(arm: ArmParameters, values: dict[str, float]) -> ArmParameter
     The pseudo inertia (equation 3.8) of link 3 gains m r r', with r = (x, y, z, 1) in the frame
     of the link.
     """
+    if values["mass"] == 0.0:
+        return arm  # to the last bit
     link = arm.links[2]
     r = np.array([values["x"], values["y"], values["z"], 1.0])
     pseudo = link.pseudo_inertia + values["mass"] * np.outer(r, r)

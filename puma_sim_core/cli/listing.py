@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""List the published parameter sets and the effects, which are what a real drive does and the
+thesis's model lacks.
+
+  puma-sim list                       all of them
+  puma-sim list coulomb_friction      one effect
+  puma-sim list bejczy > mine.yaml    one set as a parameter file, to start another from
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+from ..errors import ParameterError
+
+if TYPE_CHECKING:
+    from ..effects import Kind, Parameter
+
+NAME = "list"
+SUMMARY = "list parameter sets and effects"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("name", metavar="NAME", nargs="?",
+                        help="this effect, or this set or parameter file (checked, as YAML)")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print; raises ParameterError for an unknown name or a file that is not usable."""
+    from pathlib import Path
+
+    from ..effects import KINDS
+    from ..parameters import parameter_sets
+
+    name, sets = options.name, parameter_sets()
+    if name is None:
+        print("Parameter sets (--parameters), the default one first\n")
+        print("\n".join(map(_set_text, sets)))
+        print("\nEffects (--effect)\n")
+        print("\n\n".join(map(_effect_text, KINDS.values())))
+    elif name in KINDS:
+        print(_effect_text(KINDS[name]))
+    elif name in sets or Path(name).exists():
+        print(_parameter_file(name), end="")
+    else:
+        raise ParameterError(f"'{name}' is not known",
+                             expected=f"a parameter file, or one of {', '.join([*sets, *KINDS])}")
+    return 0
+
+
+def _parameter_file(name: str) -> str:
+    from ..files import yaml_text
+    from ..parameters import load_parameters, to_mapping
+
+    return yaml_text(to_mapping(load_parameters(name)))
+
+
+def _set_text(name: str) -> str:
+    from ..parameters import load_parameters
+
+    arm = load_parameters(name)
+    lines = [name, f"  {' '.join(arm.source.split())}"]
+    lines += [f"  the source has besides: --effect {effect}" for effect in arm.suggested_effects]
+    return "\n".join(lines)
+
+
+def _effect_text(kind: Kind) -> str:
+    keys = ["joint=1..3"] if kind.per_joint else []
+    keys += [f"{p.name}=..." for p in kind.parameters if _is_required(p)]
+    lines = [f"{kind.name}  (acts on: {kind.acts})", f"  {kind.sentence}",
+             f"  {kind.equation}", f"  --effect {kind.name}:{','.join(keys)}"]
+    names = [p.name for p in kind.parameters]
+    units = [f"[{p.unit}]" for p in kind.parameters]
+    for p, unit in zip(kind.parameters, units):
+        start = ("" if _is_required(p) else f"; {p.default:g} if not given"
+                 if p.default is not None else "; taken from the arm if not given")
+        lines.append(f"    {p.name:{max(map(len, names))}}  {unit:{max(map(len, units))}}  "
+                     f"{p.low:g} to {p.high:g}: {p.meaning}{start}")
+    return "\n".join(lines)
+
+
+def _is_required(parameter: Parameter) -> bool:
+    return parameter.default is None and parameter.from_arm is None
