@@ -113,6 +113,13 @@ else:
         return function
 
 
+def compiles_first() -> bool:
+    """Whether the first run will compile the kernel, for some ten seconds, instead of loading it."""
+    if BACKEND != "numba":
+        return False
+    return _CACHE is None or next(Path(_CACHE).rglob("*.nbi"), None) is None
+
+
 def interpreted(function):
     """The plain Python of a function that is inlined elsewhere, for a caller that is not compiled
     (a call would compile it, for a second)."""

@@ -40,6 +40,10 @@ class LimitError(PumaSimError):
     """A joint left its range or exceeded its greatest velocity or acceleration."""
 
 
+class TuningError(PumaSimError):
+    """A joint has no ultimate gain, so that there is nothing to take settings from."""
+
+
 class BagError(PumaSimError):
     """A bag cannot be written, read, recovered or replayed."""
 

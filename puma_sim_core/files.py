@@ -20,12 +20,19 @@ from .errors import ParameterError, PumaSimError
 def whole_file(path: str | os.PathLike, error: type[PumaSimError]) -> Iterator[TextIO]:
     """A text file to write; it takes the place of `path` when the block ends without an error.
 
+    Where `path` is a link, the file that it leads to is replaced; a device or a pipe, which
+    nothing may take the place of, is written to.
+
     Raises
     ------
     error : the folder is missing or cannot be written, or the disk is full; names the path.
     """
-    path = Path(path)
+    given, path = path, Path(os.path.realpath(path))
     try:
+        if is_special(path):
+            with open(path, "w", encoding="utf-8", newline="") as file:
+                yield file
+            return
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
         try:
             with os.fdopen(handle, "w", encoding="utf-8", newline="") as file:
@@ -38,9 +45,16 @@ def whole_file(path: str | os.PathLike, error: type[PumaSimError]) -> Iterator[T
         except BaseException:
             os.unlink(temporary)
             raise
+    except BrokenPipeError:
+        raise
     except OSError as reason:
-        raise error(f"cannot be written ({reason.strerror})", where=str(path),
+        raise error(f"cannot be written ({reason.strerror})", where=str(given),
                     expected="a path in a folder that can be written") from None
+
+
+def is_special(path: str | os.PathLike) -> bool:
+    """Whether a path is there and is neither a file nor a folder: a device, a pipe."""
+    return os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path)
 
 
 class _StrictLoader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):

@@ -94,6 +94,55 @@ def read_csv(path: str | os.PathLike, required: Sequence[str] = ("voltage",),
         one, a text in a number, a number that is not finite, a row that is cut off, or times that
         do not increase; names the file, the line and the column.
     """
+    names, table = _table(path, lambda names, line: _check_names(
+        names, path, line, tuple(required), tuple(optional)))
+    groups = {}
+    for group in (*required, *optional):
+        columns = [f"{group}{j}" for j in (1, 2, 3)]
+        if columns[0] in names:
+            groups[group] = table[:, [names.index(column) for column in columns]]
+    return Recording(time=table[:, names.index("time")].copy(), **groups)
+
+
+def read_columns(path: str | os.PathLike, layouts: Sequence[tuple[Sequence[str], Sequence[str]]]
+                 ) -> dict[str, np.ndarray]:
+    """Read a file that has, beside ``time``, the columns of one of several layouts.
+
+    layouts : (names that must be there, names that may be) of each; the first whose required names
+    are all there is taken.
+
+    Returns
+    -------
+    name -> (n,) values, ``time`` first.
+
+    Raises
+    ------
+    RecordingError : as `read_csv`.
+    """
+    def check(names, line):
+        where = f"{path}, line {line}"
+        fitting = next((layout for layout in layouts
+                        if {"time", *layout[0]} <= set(names)), None)
+        if fitting is None:
+            raise RecordingError(
+                f"columns {', '.join(names)}", where=where,
+                expected=" or ".join(", ".join(("time", *layout[0])) for layout in layouts))
+        for name in names:
+            if name not in ("time", *fitting[0], *fitting[1]):
+                raise RecordingError(f"unknown column '{name}'", where=where,
+                                     expected=f"columns among time, "
+                                              f"{', '.join((*fitting[0], *fitting[1]))}")
+            if names.count(name) > 1:
+                raise RecordingError(f"column '{name}' stands twice", where=where,
+                                     expected="each column once")
+
+    names, table = _table(path, check)
+    return {name: table[:, names.index(name)].copy()
+            for name in ("time", *(name for name in names if name != "time"))}
+
+
+def _table(path, check: Callable[[list[str], int], None]) -> tuple[list[str], np.ndarray]:
+    """Column names and rows (n, columns) of a file; `check` is given the names and their line."""
     path = Path(path)
     try:
         # whole, since it may have to be read twice and may be a pipe
@@ -104,10 +153,6 @@ def read_csv(path: str | os.PathLike, required: Sequence[str] = ("voltage",),
                              expected="a CSV file") from None
     except UnicodeDecodeError:
         raise RecordingError("is not text", where=str(path), expected="a CSV file") from None
-    return _read(text, path, tuple(required), tuple(optional))
-
-
-def _read(text, path, required, optional) -> Recording:
     file = io.StringIO(text, newline="")
     numbered = ((n, line) for n, line in enumerate(file, start=1)
                 if line.strip() and not line.lstrip().startswith("#"))
@@ -115,18 +160,13 @@ def _read(text, path, required, optional) -> Recording:
     if first is None:
         raise RecordingError("is empty", where=str(path), expected="a line of column names")
     names = [name.strip() for name in _fields(first[1], path, first[0])]
-    _check_names(names, path, first[0], required, optional)
+    check(names, first[0])
     start = file.tell()
     table = _clean_table(file, names)
     if table is None:
         file.seek(start)
         table = _diagnosed_table(numbered, names, path)
-    groups = {}
-    for group in (*required, *optional):
-        columns = [f"{group}{j}" for j in (1, 2, 3)]
-        if columns[0] in names:
-            groups[group] = table[:, [names.index(column) for column in columns]]
-    return Recording(time=table[:, names.index("time")].copy(), **groups)
+    return names, table
 
 
 def _clean_table(file, names) -> np.ndarray | None:
@@ -199,15 +239,14 @@ def _row(line, names, path, number) -> list[float]:
                              expected=f"{len(names)} numbers, one a column")
     row = []
     for name, field in zip(names, fields):
+        where = f"{path}, line {number}, column {name}"
         try:
             if "_" in field:  # which float() takes, as Python's own numbers do
                 raise ValueError
             value = float(field)
         except ValueError:
-            raise RecordingError(f"'{field.strip()}'", where=f"{path}, line {number}, column {name}",
-                                 expected="a number") from None
+            raise RecordingError(f"'{field.strip()}'", where=where, expected="a number") from None
         if not math.isfinite(value):
-            raise RecordingError(f"{field.strip()}", where=f"{path}, line {number}, column {name}",
-                                 expected="a finite number")
+            raise RecordingError(field.strip(), where=where, expected="a finite number")
         row.append(value)
     return row

@@ -11,7 +11,7 @@ import numpy as np
 
 from .backend import BACKEND
 from .bag import read_bag
-from .errors import BagError, ModelError, NonFiniteStateError, ParameterError
+from .errors import BagError, CommandError, ModelError, NonFiniteStateError, ParameterError
 from .files import parse_yaml
 from .session import Session, SessionConfig
 
@@ -81,10 +81,14 @@ def replay(path: str | os.PathLike) -> Replay:
     for step in range(len(bag.steps) - 1):
         while given < len(commands) and commands[given][0] == step:
             names, values = commands[given][1]
-            if names is None:
-                session.command(values)
-            else:
-                session.command_joints(names, values)
+            try:
+                if names is None:
+                    session.command(values)
+                else:
+                    session.command_joints(names, values)
+            except CommandError as error:
+                raise BagError(f"its session refuses a command: {error.what}",
+                               where=f"{path}: step {step}", expected=error.expected) from None
             given += 1
         try:
             states.append(session.step())
@@ -112,7 +116,7 @@ def _compare(bag, states) -> tuple[str | None, float]:
             r = int(rows[0])
             j = int(np.flatnonzero(differs[r])[0])
             first = (r, f"step {r} ({bag.time_ns[r] * 1e-9:.3f} s): {name} of joint {j + 1} was "
-                        f"{theirs[r, j]!r} and is {ours[r, j]!r} {_UNITS[name]}")
+                        f"{float(theirs[r, j])!r} and is {float(ours[r, j])!r} {_UNITS[name]}")
     greatest = float(np.abs(np.array([s.position for s in states]) - bag.position[:n]).max())
     if first is None:
         return None, greatest

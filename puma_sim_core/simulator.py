@@ -103,7 +103,7 @@ class Limits:
                 outside = np.flatnonzero((values[:, j] < low) | (values[:, j] > high))
                 if outside.size:
                     r = int(outside[0])
-                    found.append(f"joint {j + 1}: {name} {values[r, j]:.4g} {unit} at "
+                    found.append(f"joint {j + 1}: {name} {values[r, j]:.7g} {unit} at "
                                  f"{recording.time[r]:.6g} s is outside {low:.4g} to {high:.4g}")
         return found
 

@@ -22,8 +22,9 @@ from .messages import qos
 #: endings of the topics on which a simulator listens
 _COMMANDS = ("/voltage_controller/commands", "/position_controller/commands", "/joint_commands")
 _LATCHED = ("/sim_node/model", "/robot_description")
-#: time for publishers and subscribers to find each other [s]
-_DISCOVERY = 1.0
+#: longest wait for a first subscriber, whom the middleware announces each 3 s, and the wait for
+#: the others, and for them to have found us [s]
+_FIRST, _OTHERS = 4.0, 1.0
 
 
 def _message_type(name: str, topic: str):
@@ -64,7 +65,11 @@ def publish_bag(path: str | Path, *, rate: float = 1.0, commands_only: bool | No
                 latched = topic.endswith(_LATCHED)
                 publishers[topic] = node.create_publisher(
                     _message_type(message.type, topic), topic, qos(10, latched=latched))
-        time.sleep(_DISCOVERY)
+        end = time.monotonic() + _FIRST
+        while time.monotonic() < end and not any(
+                publisher.get_subscription_count() for publisher in publishers.values()):
+            time.sleep(0.02)
+        time.sleep(_OTHERS)
         if commands_only is None:
             commands_only = any(node.count_publishers(topic) > 1 for topic in publishers
                                 if topic.endswith("/joint_states"))

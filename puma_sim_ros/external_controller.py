@@ -16,6 +16,7 @@ from array import array
 import numpy as np
 import rclpy
 from rcl_interfaces.msg import Parameter as ParameterMessage
+from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -57,8 +58,11 @@ class ExternalController(Node):
         self.p = {name: self.declare_parameter(name, default).value
                   for name, default in PARAMETERS.items()}
         self.arm = load_parameters(self.p["parameter_set"])
-        self.gains = [PidGains(*row) for row in zip(
-            self.p["gain"], self.p["integral_time"], self.p["derivative_time"])]
+        columns = [self.p[name] for name in ("gain", "integral_time", "derivative_time")]
+        if any(len(column) != 3 for column in columns):
+            raise ControllerError(f"gains {[list(column) for column in columns]}",
+                                  expected="three numbers of each, one for each joint")
+        self.gains = [PidGains(*row) for row in zip(*columns)]
         self.spinner = SingleThreadedExecutor()
         self.spinner.add_node(self)
         self.pid = None
@@ -180,7 +184,7 @@ def main(args=None) -> int:
             write_csv(recording, node.p["log_path"])
         print(report(recording, node.period), flush=True)
         return 0
-    except PumaSimError as error:
+    except (PumaSimError, ParameterException) as error:
         print(f"external_controller: {error}", file=sys.stderr)
     except (KeyboardInterrupt, ExternalShutdownException):
         print("external_controller: interrupted", file=sys.stderr)

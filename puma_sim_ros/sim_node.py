@@ -18,6 +18,7 @@ import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -340,7 +341,7 @@ def main(args=None) -> int:
         return 2
     try:
         node = SimNode()
-    except (PumaSimError, OSError) as error:
+    except (PumaSimError, ParameterException, OSError) as error:
         print(f"sim_node: {error}", file=sys.stderr)
         rclpy.try_shutdown()
         return 2

@@ -54,13 +54,20 @@ def run_program(module: str, *words: str) -> subprocess.CompletedProcess:
 
 
 class Program:
-    """A program of the package that runs beside the test."""
+    """A program of the package that runs beside the test; as a context, it must end well."""
 
     def __init__(self, module: str, *words: str) -> None:
         self.process = subprocess.Popen([sys.executable, "-m", module, *words],
                                         env=environment(), text=True, stdout=subprocess.PIPE,
                                         stderr=subprocess.PIPE)
         self.output = self.errors = ""
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, kind, *_exception) -> None:
+        status = self.end()
+        assert kind is not None or status == 0, self.errors
 
     def end(self, number: int = signal.SIGINT) -> int:
         """Send a signal, wait, and return the status."""
@@ -122,6 +129,12 @@ class Peer:
         self.states.append(message)
         if self.on_state is not None:
             self.on_state(message)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_exception) -> None:
+        self.close()
 
     def close(self) -> None:
         self.executor.shutdown()

@@ -166,7 +166,8 @@ def test_publishing_without_ros_says_what_is_missing(recorded, tmp_path, capsys,
 
 
 def test_the_rate_belongs_to_publishing(recorded, tmp_path, capsys):
-    refused(capsys, tmp_path, "replay", recorded, "--rate", "2", says=["--rate 2 without --publish"])
+    refused(capsys, tmp_path, "replay", recorded, "--rate", "2",
+            says=["--rate 2 without --publish"])
     refused(capsys, tmp_path, "replay", recorded, "--publish", "--rate", "x",
             says=["--rate: 'x'", "a finite number"])
 
@@ -175,7 +176,12 @@ def test_publishing_goes_by_the_rate(recorded, capsys, monkeypatch):
     from puma_sim_core.cli import replay
 
     calls = []
-    monkeypatch.setattr(replay, "_publisher", lambda: lambda bag, rate: calls.append((bag, rate)) or 7)
+
+    def publish(bag, rate):
+        calls.append((bag, rate))
+        return 7
+
+    monkeypatch.setattr(replay, "_publisher", lambda: publish)
     assert call("replay", recorded, "--publish") == 0
     assert call("replay", recorded, "--publish", "--rate", "2.5") == 0
     assert calls == [(str(recorded), 1.0), (str(recorded), 2.5)]

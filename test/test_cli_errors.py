@@ -100,7 +100,7 @@ def test_files_that_are_not_there_are_named(tmp_path, refused):
 
 @pytest.mark.parametrize("cut", range(1, 8))
 def test_a_file_cut_off_in_its_last_row_is_refused_or_warned_of(tmp_path, capsys, cut):
-    """Where the cut leaves a number, as many as there should be, only the end of line is missing."""
+    """Where the cut leaves as many numbers as there should be, only the end of line is missing."""
     whole = rows("0,1.5,2.5,3.5", "1,1.5,2.5,3.5")
     path = tmp_path / "cut.csv"
     path.write_text(whole[:-cut])
@@ -175,7 +175,8 @@ def test_a_parameter_file_that_cannot_be_used_is_refused(tmp_path, volts, refuse
     (lambda m: m.update(format="puma-sim model 99"), ["format 'puma-sim model 99'"]),
     (lambda m: m.update(colour="blue"), ["unknown key 'colour'"]),
     (lambda m: m.update(torque_form="wrong"), ["torque_form 'wrong'", "physical or printed"]),
-    (lambda m: m["effects"][0].update(name="magic"), ["unknown effect 'magic'", "coulomb_friction"]),
+    (lambda m: m["effects"][0].update(name="magic"),
+     ["unknown effect 'magic'", "coulomb_friction"]),
     (lambda m: m["effects"][0]["torque"].update(unit="V"), ["coulomb_friction", "unit: N.m"]),
     (lambda m: m["effects"][0]["torque"].update(value=-1.0), ["torque=-1", "0 to 500 N.m"]),
     (lambda m: m["effects"][0].update(joint=4), ["joint", "1, 2 or 3"]),
@@ -229,7 +230,8 @@ def test_a_file_that_is_no_model_is_refused(tmp_path, volts, refused, text, says
     (["--effect", "coulomb_friction:joint=2,torque=x"], ["torque=x", "a number"]),
     (["--effect", "coulomb_friction:joint=5,torque=3"], ["joint", "1, 2 or 3"]),
     (["--effect", "coulomb_friction:joint=2,torque=3",
-      "--effect", "coulomb_friction:joint=2,torque=4"], ["coulomb_friction stands twice on joint 2"]),
+      "--effect", "coulomb_friction:joint=2,torque=4"],
+     ["coulomb_friction stands twice on joint 2"]),
     (["--constrain", "joint4=hold"], ["--constrain: 'joint4=hold'", "joint1, joint2 or joint3"]),
     (["--constrain", "joint1"], ["--constrain joint1", "free or hold"]),
     (["--constrain", "joint1=stuck"], ["--constrain joint1=stuck", "free or hold or velocity"]),
@@ -289,14 +291,16 @@ def test_a_device_is_written_to_and_not_replaced(volts):
 
 
 def test_a_failed_run_leaves_an_older_output_as_it_was(tmp_path, refused):
-    bad = write_volts(tmp_path / "volts.csv", [0.0, 0.1, 0.2], [(0, 0, 0), (1e300, 0, 0), (0, 0, 0)])
+    bad = write_volts(tmp_path / "volts.csv", [0.0, 0.1, 0.2],
+                      [(0, 0, 0), (1e300, 0, 0), (0, 0, 0)])
     (tmp_path / "run.csv").write_text("mine")
     refused("simulate", bad, "--out", tmp_path / "run.csv",
             says=["volts.csv, row 3 (0.2 s): the state is no longer finite"])
 
 
 def test_a_full_disk_is_named_and_leaves_nothing(tmp_path, volts, refused):
-    refused("simulate", volts, "--out", "/dev/full", says=["/dev/full: cannot be written (No space"])
+    refused("simulate", volts, "--out", "/dev/full",
+            says=["/dev/full: cannot be written (No space"])
 
 
 def test_times_that_cannot_be_seconds_are_refused(tmp_path, refused):

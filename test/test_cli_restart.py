@@ -18,7 +18,7 @@ from puma_sim_core.errors import ParameterError
 from puma_sim_core.recording import Recording, write_csv
 from puma_sim_core.restart import (driven_current, local_motion, measured_state, run_windows,
                                    window_starts)
-from puma_sim_core.simulator import Simulator
+from puma_sim_core.simulator import Constraint, Simulator
 
 FRICTION = ("coulomb_friction:joint=1,torque=8", "asymmetric_coulomb_friction:joint=2,positive=9,"
             "negative=6", "stribeck_friction:joint=3,torque=2", "coulomb_friction:joint=3,torque=6")
@@ -142,10 +142,8 @@ def test_an_unevenly_sampled_log_works(plant, tmp_path, capsys):
 
 
 def test_a_joint_can_be_held(plant, tmp_path, capsys):
-    from puma_sim_core.simulator import Constraint
-
-    free = Constraint()
-    log = Simulator(plant, constraints=(free, Constraint("hold"), free)).run(*excitation(4.0, 0.005))
+    held = (Constraint(), Constraint("hold"), Constraint())
+    log = Simulator(plant, constraints=held).run(*excitation(4.0, 0.005))
     run = restart(log, tmp_path, *option_words((*VISCOUS, *FRICTION)), "--constrain",
                   "joint2=hold", interval=1.0)
     assert not reported(capsys)[2].any() and not run.velocity[:, 1].any()

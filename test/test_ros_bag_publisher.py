@@ -39,18 +39,15 @@ def recorded(tmp_path, request):
 
 def test_a_viewer_gets_all_that_was_recorded(recorded):
     namespace, bag = recorded
-    peer = Peer(namespace)
     commands = []
-    peer.node.create_subscription(peer.commands.msg_type, "voltage_controller/commands",
-                                  lambda message: commands.append(tuple(message.data)), 100)
-    publisher = Program("puma_sim_ros.bag_publisher", str(bag), "--rate", "2.0")
-    try:
-        peer.wait_for(lambda: len(peer.states) == STEPS + 1 and len(commands) == STEPS
-                      and len(peer.voltages) == len(peer.currents) == STEPS + 1, "all messages")
-        assert publisher.wait() == 0, publisher.errors
-    finally:
-        peer.close()
-        publisher.end()
+    with Peer(namespace) as peer:
+        peer.node.create_subscription(peer.commands.msg_type, "voltage_controller/commands",
+                                      lambda message: commands.append(tuple(message.data)), 100)
+        with Program("puma_sim_ros.bag_publisher", str(bag), "--rate", "2.0") as publisher:
+            peer.wait_for(lambda: len(peer.states) == STEPS + 1 and len(commands) == STEPS
+                          and len(peer.voltages) == len(peer.currents) == STEPS + 1,
+                          "all messages")
+            publisher.wait()
     contents = read_bag(bag)
     assert [list(state.position) for state in peer.states] == contents.position.tolist()
     assert [list(values) for values in peer.voltages] == contents.voltage.tolist()
@@ -60,16 +57,11 @@ def test_a_viewer_gets_all_that_was_recorded(recorded):
 
 def test_a_simulator_gets_the_commands_alone_and_moves_the_same(recorded, tmp_path):
     namespace, bag = recorded
-    node = Node(namespace, mode="lockstep", bag_path=tmp_path / "again")
-    peer = Peer(namespace)
-    try:
+    with Node(namespace, mode="lockstep", bag_path=tmp_path / "again"), Peer(namespace) as peer:
         peer.find_simulator(reset=False)
         done = run_program("puma_sim_ros.bag_publisher", str(bag), "--rate", "2.0")
         assert done.returncode == 0, done.stderr
         assert f"{STEPS} messages published" in done.stdout
-    finally:
-        peer.close()
-        assert node.end() == 0, node.errors
     first, second = read_bag(bag), read_bag(tmp_path / "again")
     assert second.position.tolist() == first.position.tolist()
     assert second.commands == first.commands

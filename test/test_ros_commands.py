@@ -20,14 +20,10 @@ TIMEOUT = 0.112  # four steps
 
 
 def connected(interface):
-    node = Node(paused=True, command_interface=interface, command_timeout=TIMEOUT)
-    peer = Peer(node.namespace, interface)
-    try:
+    with Node(paused=True, command_interface=interface, command_timeout=TIMEOUT) as node, \
+            Peer(node.namespace, interface) as peer:
         peer.find_simulator()
         yield peer
-    finally:
-        peer.close()
-        assert node.end() == 0, node.errors
 
 
 @pytest.fixture(scope="module")
@@ -188,15 +184,10 @@ def test_volts_are_never_read_as_setpoints(setpoints):
 
 
 def test_commands_reach_the_node_of_their_namespace_only(volts):
-    other = Node(paused=True)
-    peer = Peer(other.namespace)
-    try:
+    with Node(paused=True) as other, Peer(other.namespace) as peer:
         peer.find_simulator()
         peer.send(1.0, 2.0, 3.0)
         peer.step()
         volts.step()
         assert peer.voltages[1] == (1.0, 2.0, 3.0)
         assert volts.voltages[1] == (0.0, 0.0, 0.0)
-    finally:
-        peer.close()
-        assert other.end() == 0, other.errors

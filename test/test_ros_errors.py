@@ -29,6 +29,7 @@ BAD_PARAMETERS = {
     "interface": ({"command_interface": "torque"}, ["command_interface", "voltage or position"]),
     "mode": ({"mode": "fast"}, ["mode", "realtime or lockstep"]),
     "simulated time": ({"use_sim_time": "true"}, ["use_sim_time", "source of simulated time"]),
+    "type of simulated time": ({"use_sim_time": 5}, ["use_sim_time", "5"]),
     "ROS arguments": ({"x:y:": 1}, ["sim_node", "x:y:"]),
 }
 
@@ -78,13 +79,8 @@ def test_a_bag_path_that_cannot_be_written_is_refused(tmp_path):
 
 
 def test_a_parameter_of_another_name_is_told(tmp_path):
-    node = Node(perod=0.014, paused=True)
-    peer = Peer(node.namespace)
-    try:
+    with Node(perod=0.014, paused=True) as node, Peer(node.namespace) as peer:
         peer.find_simulator(reset=False)
-    finally:
-        peer.close()
-        assert node.end() == 0
     assert "parameter 'perod'" in node.errors
 
 
@@ -94,9 +90,7 @@ UNSTABLE = {"effects": "['soft_stop:joint=3,upper=0.0,stiffness=1e6,damping=1000
 
 
 def test_a_state_that_is_not_finite_pauses_the_node(tmp_path):
-    node = Node(paused=True, **UNSTABLE)
-    peer = Peer(node.namespace)
-    try:
+    with Node(paused=True, **UNSTABLE) as node, Peer(node.namespace) as peer:
         peer.find_simulator()
         peer.call("pause", data=False)
         peer.wait_for(lambda: peer.call("get_parameters", names=["paused"]).values[0].bool_value,
@@ -116,7 +110,4 @@ def test_a_state_that_is_not_finite_pauses_the_node(tmp_path):
         peer.fresh()
         assert peer.call("step").success
         assert peer.call("pause", data=False).success
-    finally:
-        peer.close()
-        assert node.end() == 0
     assert f"step {failed}: the state is no longer finite" in node.errors

@@ -28,14 +28,9 @@ ARRAY, JOINTS = "std_msgs/msg/Float64MultiArray", "sensor_msgs/msg/JointState"
 
 @pytest.fixture(scope="module")
 def peer():
-    node = Node(paused=True, publish_clock=True)
-    peer = Peer(node.namespace)
-    try:
+    with Node(paused=True, publish_clock=True) as node, Peer(node.namespace) as peer:
         peer.find_simulator()
         yield peer
-    finally:
-        peer.close()
-        assert node.end() == 0, node.errors
 
 
 @pytest.fixture(autouse=True)

@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from ros_support import Node, Peer, Program, arguments, run_program, step_of  # noqa: E402
+from ros_support import Node, Peer, arguments, run_program, step_of  # noqa: E402
 
 from puma_sim_core.bag import read_bag  # noqa: E402
 from puma_sim_core.recording import read_csv  # noqa: E402
@@ -39,14 +39,9 @@ def drive(peer, steps):
 
 
 def recorded_run(bag, namespace, steps=120):
-    node = Node(namespace, mode="lockstep", bag_path=bag)
-    peer = Peer(node.namespace)
-    try:
+    with Node(namespace, mode="lockstep", bag_path=bag), Peer(namespace) as peer:
         peer.find_simulator(reset=False)
         drive(peer, steps)
-    finally:
-        peer.close()
-        assert node.end() == 0, node.errors
     return peer.states
 
 
@@ -67,15 +62,10 @@ def test_two_runs_give_byte_equal_bags_that_replay(tmp_path):
 
 @pytest.fixture
 def lockstep():
-    node = Node(mode="lockstep")
-    peer = Peer(node.namespace)
-    try:
+    with Node(mode="lockstep") as node, Peer(node.namespace) as peer:
         peer.find_simulator(reset=False)
         peer.wait_for(lambda: peer.states and peer.currents and peer.voltages, "a state")
         yield peer
-    finally:
-        peer.close()
-        assert node.end() == 0, node.errors
 
 
 def test_time_goes_on_by_good_commands_alone(lockstep):
@@ -103,16 +93,13 @@ def test_a_command_during_a_pause_makes_its_step_afterwards(lockstep):
 
 def test_the_example_controller_follows_its_line(tmp_path):
     bag, log = tmp_path / "bag", tmp_path / "log.csv"
-    node = Node(mode="lockstep", bag_path=bag)
-    controller = Program("puma_sim_ros.external_controller",
-                         *arguments({"duration": 2.0, "log_path": log}),
-                         "-r", f"__ns:={node.namespace}")
-    try:
-        assert controller.wait() == 0, controller.errors
-    finally:
-        assert node.end() == 0, node.errors
-    assert controller.output.count("tracking error of joint") == 3
-    assert "missed: 0" in controller.output
+    with Node(mode="lockstep", bag_path=bag) as node:
+        controller = run_program("puma_sim_ros.external_controller",
+                                 *arguments({"duration": 2.0, "log_path": log}),
+                                 "-r", f"__ns:={node.namespace}")
+    assert controller.returncode == 0, controller.stderr
+    assert controller.stdout.count("tracking error of joint") == 3
+    assert "missed: 0" in controller.stdout
     contents = read_bag(bag)
     table = read_csv(log, required=("voltage", "setpoint", "position"))
     # what the controller saw and sent is what the simulator recorded
@@ -132,11 +119,8 @@ def test_the_example_controller_says_when_nobody_answers():
 
 
 def test_the_example_controller_refuses_a_simulator_that_takes_setpoints():
-    node = Node(mode="lockstep", command_interface="position")
-    try:
+    with Node(mode="lockstep", command_interface="position") as node:
         done = run_program("puma_sim_ros.external_controller", *arguments({"timeout": 10.0}),
                            "-r", f"__ns:={node.namespace}")
-    finally:
-        assert node.end() == 0, node.errors
     assert done.returncode == 1
     assert "command_interface is position; expected voltage" in done.stderr

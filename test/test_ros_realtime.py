@@ -23,8 +23,10 @@ class Running:
         self.bag = bag
         self.node = Node(bag_path=bag, **parameters)
         self.peer = Peer(self.node.namespace)
+
+    def find(self, paused=False):
         self.peer.find_simulator(reset=False)
-        if not parameters.get("paused"):
+        if not paused:
             self.peer.wait_for(lambda: self.peer.voltages and self.peer.states
                                and step_of(self.peer.states[-1]) > 2, "states")
 
@@ -39,6 +41,7 @@ def running(tmp_path):
 
     def start(**parameters):
         started.append(Running(tmp_path / "bag", **parameters))
+        started[-1].find(parameters.get("paused", False))
         return started[-1]
 
     yield start

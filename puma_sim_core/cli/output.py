@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from typing import TextIO
 
 from ..errors import PumaSimError, RecordingError
-from ..files import whole_file
+from ..files import is_special, whole_file
 
 #: a command that takes less than this shows no progress [s]
 _PATIENCE = 0.5
@@ -25,7 +25,7 @@ def check_output(path: str, inputs: Iterable[str] = ()) -> None:
     ------
     RecordingError : names the path.
     """
-    if path == "-" or _is_special(path):
+    if path == "-" or is_special(path):
         return
     folder = os.path.dirname(os.path.realpath(path))
     for problem, is_so in (("is a folder", os.path.isdir(path)),
@@ -50,29 +50,18 @@ def output_file(path: str, error: type[PumaSimError] = RecordingError) -> Iterat
     ------
     error : the file cannot be written; names it.
     """
-    if path != "-" and not _is_special(path):
-        # the file that a link leads to, not the link
-        with whole_file(os.path.realpath(path), error) as file:
+    if path != "-":
+        with whole_file(path, error) as file:
             yield file
         return
     try:
-        if path == "-":
-            yield sys.stdout
-            sys.stdout.flush()
-        else:
-            with open(path, "w", encoding="utf-8") as file:
-                yield file
+        yield sys.stdout
+        sys.stdout.flush()
     except BrokenPipeError:
         raise
     except OSError as reason:
-        raise error(f"cannot be written ({reason.strerror})",
-                    where="standard output" if path == "-" else path,
+        raise error(f"cannot be written ({reason.strerror})", where="standard output",
                     expected="a place that takes the output") from None
-
-
-def _is_special(path: str) -> bool:
-    """A device or a pipe, which nothing may take the place of."""
-    return os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path)
 
 
 class Progress:
@@ -102,3 +91,12 @@ class Progress:
         if self._shown:
             self._file.write("\r\x1b[K")
             self._file.flush()
+
+
+def announce_compilation() -> None:
+    """Say on standard error that a first run takes longer, where it will."""
+    from ..backend import compiles_first
+
+    if compiles_first():
+        print("puma-sim: compiling the model, some twenty seconds; later runs load it",
+              file=sys.stderr)

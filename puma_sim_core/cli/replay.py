@@ -11,6 +11,7 @@ import argparse
 
 from ..errors import PumaSimError
 from .arguments import number
+from .output import announce_compilation
 
 NAME = "replay"
 SUMMARY = "run a bag's commands again and compare, or publish it"
@@ -37,6 +38,7 @@ def run(options: argparse.Namespace) -> int:
     from ..backend import BACKEND
     from ..replay import replay
 
+    announce_compilation()
     found = replay(options.bag)
     print(f"{options.bag}: recorded by version {found.recorded_version} "
           f"({found.recorded_kernel} kernel)")

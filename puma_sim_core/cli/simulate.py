@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 
 from ..errors import LimitError, NonFiniteStateError, ParameterError, RecordingError
 from .arguments import add_plant_arguments, input_files, number, plant_of, three_numbers
-from .output import Progress, check_output, output_file
+from .output import Progress, announce_compilation, check_output, output_file
 
 if TYPE_CHECKING:
     from ..recording import Recording
@@ -89,6 +89,7 @@ def run(options: argparse.Namespace) -> int:
     if not span < _MOST_STEPS * simulator.max_step:
         raise RecordingError(f"lasts {span:.3g} s", where=options.file,
                              expected=f"times in seconds, fewer than {_MOST_STEPS:g} steps")
+    announce_compilation()
     with Progress() as progress:
         errors = None
         try:

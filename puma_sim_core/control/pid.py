@@ -23,7 +23,6 @@ from typing import NamedTuple
 from ..backend import inlined, interpreted
 from ..errors import ParameterError
 
-
 #: forms of the same law, equations 7.2 and 7.3
 FORMS = ("positional", "velocity")
 

@@ -18,8 +18,8 @@ from .pid import PidGains, pid_law
 
 #: numbers that the kernel reads for each joint: Kg, h/Ti, Td/h, limit of the output [V],
 #: encoder step [rad], converter step [V], amplifier gain, derivative on the measurement (1.0),
-#: delay [samples]
-SERVO_WIDTH = 9
+#: delay [samples], output at which the sum stops growing [V] (inf: it never does)
+SERVO_WIDTH = 10
 #: numbers that one joint's servo remembers: the sum (h/Ti) e, the last d; behind those of the
 #: three joints stand the voltages that the delay holds back, joint by joint, the oldest first
 MEMORY_WIDTH = 2
@@ -45,6 +45,7 @@ class ServoConfig:
         the motor +- the voltage limit.
     encoder_counts : counts a motor turn (the PUMA has 1000), None for an ideal encoder.
     derivative_on_measurement : a step of the setpoint then does not kick.
+    anti_windup : an error that would drive a limited output further is not added to the sum.
     delay_samples : samples by which a voltage acts later than the sample that it answers.
     """
 
@@ -53,6 +54,7 @@ class ServoConfig:
     converter_bits: int | None = None
     encoder_counts: int | None = None
     derivative_on_measurement: bool = True
+    anti_windup: bool = True
     delay_samples: int = 0
 
     def __post_init__(self):
@@ -89,7 +91,7 @@ class ServoConfig:
                       0.0 if counts is None else 2.0 * pi / (counts * abs(ratio)),
                       0.0 if bits is None or limit == inf else 2.0 * limit / 2.0 ** bits,
                       self.amplifier_gain, 1.0 if self.derivative_on_measurement else 0.0,
-                      float(self.delay_samples)]
+                      float(self.delay_samples), limit if self.anti_windup else inf]
         return table
 
     def held_back(self, voltage=(0.0, 0.0, 0.0)) -> tuple[float, ...]:
@@ -104,7 +106,7 @@ class ServoConfig:
                 "amplifier_gain": self.amplifier_gain, "converter_bits": self.converter_bits,
                 "encoder_counts": self.encoder_counts,
                 "derivative_on_measurement": self.derivative_on_measurement,
-                "delay_samples": self.delay_samples}
+                "anti_windup": self.anti_windup, "delay_samples": self.delay_samples}
 
     @classmethod
     def from_mapping(cls, mapping: dict) -> ServoConfig:
@@ -142,7 +144,8 @@ def servo_sample(setpoint, q, total, before, s, k):
     y = measured_position(q, s, k)
     error = setpoint - y
     d_now = d_signal(error, y, s, k)
-    u, total = pid_law(error, d_now, before, total, s[k], s[k + 1], s[k + 2], s[k + 3])
+    u, total = pid_law(error, d_now, before, total, s[k], s[k + 1], s[k + 2], s[k + 9])
+    u = min(max(u, -s[k + 3]), s[k + 3])
     # the converter's highest code is one step short of its lowest, as in two's complement
     u = quantised(u, s[k + 5])
     if s[k + 5] > 0.0:

@@ -41,7 +41,7 @@ PAYLOAD = Kind(
     parameters=(Parameter("mass", "kg", 0.0, 50.0, "m"),
                 Parameter("x", "m", -2.0, 2.0, "along x3", default=0.0),
                 Parameter("y", "m", -2.0, 2.0, "along y3, the axis of joint 3", default=0.0),
-                Parameter("z", "m", -2.0, 2.0, "along the forearm; the wrist unless given",
+                Parameter("z", "m", -2.0, 2.0, "along the forearm, where the wrist is",
                           from_arm=lambda arm, joint: arm.d4)),
     per_joint=False, load=attach_payload)
 

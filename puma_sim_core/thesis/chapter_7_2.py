@@ -23,12 +23,15 @@ from .result import Curve, Figure, Result, Row
 ALLOWED = 20.0
 #: the thesis reads its voltages in steps of half a volt: each may be off by half of that
 READING = 0.25
+#: constant voltages over many seconds: a step of 4 ms is 1e-6 s from a fine one in crossing times
+COARSE = 0.004
 
 
 @dataclass(frozen=True)
-class Test:
+class Minimum:
     """One of tests 1 to 3: the joint, how the others stand, and the two printed voltages [V]."""
 
+    key: str
     name: str
     joint: int
     pose: tuple[float, float, float]
@@ -37,13 +40,13 @@ class Test:
 
 
 TESTS = (
-    Test("joint 2, arm extended", 2, (0.0, 0.0, STRETCHED), 7.5, 8.5),
-    Test("joint 2, forearm folded", 2, (0.0, 0.0, FOLDED), 4.0, 5.0),
-    Test("joint 3, upper arm upright", 3, UPRIGHT, 3.5, 5.5),
+    Minimum("joint2_extended", "joint 2, arm extended", 2, (0.0, 0.0, STRETCHED), 7.5, 8.5),
+    Minimum("joint2_folded", "joint 2, forearm folded", 2, (0.0, 0.0, FOLDED), 4.0, 5.0),
+    Minimum("joint3", "joint 3, upper arm upright", 3, UPRIGHT, 3.5, 5.5),
 )
 
 
-def greatest_gravity(plant: Plant, test: Test) -> float:
+def greatest_gravity(plant: Plant, test: Minimum) -> float:
     """Greatest gravity torque [N.m] at the test's joint over its range."""
     low, high = plant.arm.joint_ranges[test.joint - 1]
     q = np.tile(test.pose, (20001, 1))
@@ -56,10 +59,10 @@ def volts_per_torque(plant: Plant, joint: int) -> float:
     return plant.arm.motors[joint - 1].resistance / plant.torque_per_ampere[joint - 1]
 
 
-def voltage_for_time(plant: Plant, test: Test, allowed: float, sign: float = 1.0) -> float:
+def voltage_for_time(plant: Plant, test: Minimum, allowed: float, sign: float = 1.0) -> float:
     """The least constant voltage [V], as a magnitude, that drives the joint from one end of its
     range to the other within `allowed` [s]."""
-    simulator = one_joint(plant, test.joint)
+    simulator = one_joint(plant, test.joint, COARSE)
 
     def excess(volts):
         taken = crossing_time(simulator, test.joint, test.pose, sign * volts, allowed + 0.02)
@@ -105,7 +108,7 @@ def _all_voltages(plant: Plant) -> dict[str, list]:
     """Crossing times of every joint for -40 to 40 V in steps of 5 V; None: not within 60 s."""
     numbers = {"voltages_V": [float(v) for v in range(-40, 45, 5)]}
     for joint, pose in ((1, UPRIGHT), (2, TESTS[0].pose), (3, TESTS[2].pose)):
-        simulator = one_joint(plant, joint)
+        simulator = one_joint(plant, joint, COARSE)
         times = [crossing_time(simulator, joint, pose, v, 60.0) if v else inf
                  for v in numbers["voltages_V"]]
         numbers[f"crossing_time_joint{joint}_s"] = [t if isfinite(t) else None for t in times]
@@ -128,7 +131,7 @@ def _model_rows(plant: Plant, needed, tick) -> list[Row]:
     for test, volts in zip(TESTS, needed):
         least = greatest_gravity(plant, test)
         static = least * volts_per_torque(plant, test.joint)
-        taken = crossing_time(one_joint(plant, test.joint), test.joint, test.pose,
+        taken = crossing_time(one_joint(plant, test.joint, COARSE), test.joint, test.pose,
                               test.simulated, 60.0)
         rows += [
             Row(f"least static voltage, {test.name}", "V", test.simulated, static,
@@ -150,7 +153,7 @@ def _model_rows(plant: Plant, needed, tick) -> list[Row]:
 def _symmetry_row(plant: Plant) -> Row:
     worst = 0.0
     for test in (TESTS[0], TESTS[2]):
-        simulator = one_joint(plant, test.joint)
+        simulator = one_joint(plant, test.joint, COARSE)
         for v in range(5, 45, 5):
             there, back = (crossing_time(simulator, test.joint, test.pose, s * v, 60.0)
                            for s in (1.0, -1.0))
@@ -191,8 +194,8 @@ def _residual_rows(plant: Plant, needed, numbers: dict) -> list[Row]:
         rows.append(Row(f"voltage that this friction adds, {test.name}", "V",
                         test.measured - test.simulated, max(added),
                         f"{added[0]:.2f} V towards positive angles, {added[1]:.2f} V back."))
-        numbers[f"residual_torque_{test.name}_Nm"] = torque
-        numbers[f"voltage_of_known_friction_{test.name}_V"] = added
+        numbers[f"residual_torque_{test.key}_Nm"] = torque
+        numbers[f"voltage_of_known_friction_{test.key}_V"] = added
     rows += _causes(plant, needed, residual, gravity)
     return rows
 
@@ -225,14 +228,13 @@ def _causes(plant: Plant, needed, residual, gravity) -> list[Row]:
             "every motor inertia moves no voltage by more than this."),
         Row("cause: incorrect weight of the links; extra gravity torque needed", "%",
             "link inertias", ", ".join(f"{100 * t / w:.0f}" for t, w in zip(residual, gravity)),
-            "Not one factor: joint 2 would need more when folded than when extended although "
-            "half-volt readings leave room there, and link 3 would have to weigh 2.7 times as "
-            "much."),
+            "Not one factor. For joint 2 alone the half-volt readings leave room for one; link 3 "
+            "would have to weigh 2.7 times as much."),
         Row("cause: weight at the wrist that explains joint 3; residual of joint 2 from it",
             "N.m", f"{residual[0]:.1f} and {residual[1]:.1f} (measured)",
             f"{felt[0]:.1f} extended, {felt[1]:.1f} folded",
-            f"Ruled out: the {mass:.1f} kg would show twice over in joint 2 extended, and hardly "
-            "or with the other sign folded."),
+            f"Ruled out: {mass:.1f} kg would show twice over in joint 2 extended, and hardly when "
+            "folded; the readings leave +-8.8 N.m."),
         Row("cause: gain of amplifier or motor; measured over simulated", "1", None, gain_text,
             "One gain for all is ruled out, the intervals of reading do not meet; for joint 2 "
             "alone a gain of 1.12 to 1.21 is not."),
@@ -258,7 +260,7 @@ def _causes(plant: Plant, needed, residual, gravity) -> list[Row]:
 def _time_figure(plant: Plant, tick) -> Figure:
     curves = []
     for test in TESTS:
-        simulator = one_joint(plant, test.joint)
+        simulator = one_joint(plant, test.joint, COARSE)
         static = greatest_gravity(plant, test) * volts_per_torque(plant, test.joint)
         volts = np.unique(np.concatenate([static * np.geomspace(1.02, 3.0, 22),
                                           np.linspace(3.0 * static, 40.0, 12)]))

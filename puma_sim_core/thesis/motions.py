@@ -11,7 +11,7 @@ import numpy as np
 
 from ..plant import Plant
 from ..recording import Recording
-from ..simulator import Constraint, Simulator
+from ..simulator import SERVO_PERIOD, Constraint, Simulator
 
 HELD, FREE = Constraint("hold"), Constraint()
 
@@ -37,9 +37,10 @@ def open_circuit(plant: Plant) -> Plant:
     return Plant(replace(plant.arm, motors=motors), plant.effects, plant.torque_form)
 
 
-def one_joint(plant: Plant, joint: int) -> Simulator:
+def one_joint(plant: Plant, joint: int, max_step: float = SERVO_PERIOD) -> Simulator:
     """A simulator of the plant with the two other joints truly locked."""
-    return Simulator(plant, constraints=tuple(FREE if j == joint else HELD for j in (1, 2, 3)))
+    return Simulator(plant, constraints=tuple(FREE if j == joint else HELD for j in (1, 2, 3)),
+                     max_step=max_step)
 
 
 def drive(simulator: Simulator, joint: int, pose, voltage: float, duration: float,

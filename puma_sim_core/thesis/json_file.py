@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""Results as JSON: the same results, the same bytes."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any, Mapping
+
+from .. import __version__
+from .drawing import thin
+from .registry import Experiment
+from .result import Figure, Heatmap, Result
+
+#: raised when the layout of the file changes
+FORMAT = 1
+
+
+def json_text(results: Mapping[str, tuple[Experiment, Result]], seed: int) -> str:
+    """The results of experiments by number; rows and figures in order, all keys sorted.
+
+    Numbers stand with as many digits as tell them from their neighbours. A gap of a curve is
+    null. Rows and figures that change from run to run are left out.
+    """
+    content = {
+        "format": FORMAT, "version": __version__, "seed": seed,
+        "experiments": [{"number": found.number, "chapter": found.chapter, "title": found.title,
+                         "summary": result.summary,
+                         "rows": [vars(row) for row in result.rows],
+                         "figures": [_figure(figure) for figure in result.figures],
+                         "numbers": dict(result.numbers)}
+                        for found, result in results.values()]}
+    return _text(content, "") + "\n"
+
+
+def _figure(figure: Figure | Heatmap) -> dict[str, Any]:
+    common = {"key": figure.key, "title": figure.title, "note": figure.note,
+              "x_label": figure.x_label, "y_label": figure.y_label}
+    if isinstance(figure, Heatmap):
+        return {**common, "value_label": figure.value_label, "x": _list(figure.x),
+                "y": _list(figure.y), "values": [_list(row) for row in figure.values]}
+    curves = []
+    for curve in figure.curves:
+        x, y = thin(curve)
+        curves.append({"label": curve.label, "style": curve.style, "x": _list(x), "y": _list(y)})
+    return {**common, "log_x": figure.log_x, "log_y": figure.log_y, "curves": curves}
+
+
+def _list(values) -> list[float | None]:
+    return [value if math.isfinite(value) else None for value in values.tolist()]
+
+
+def _text(value: Any, indent: str) -> str:
+    """Mappings and lists of mappings over many lines, everything else in one."""
+    inner = indent + " "
+    if isinstance(value, dict) and value:
+        lines = [f"{inner}{_flat(name)}: {_text(value[name], inner)}" for name in sorted(value)]
+        return "{\n" + ",\n".join(lines) + f"\n{indent}}}"
+    if isinstance(value, list) and value and isinstance(value[0], (dict, list)):
+        return "[\n" + ",\n".join(inner + _text(item, inner) for item in value) + f"\n{indent}]"
+    return _flat(value)
+
+
+def _flat(value: Any) -> str:
+    return json.dumps(value, ensure_ascii=False, allow_nan=False, sort_keys=True)
