@@ -29,8 +29,8 @@ def whole_file(path: str | os.PathLike, error: type[PumaSimError]) -> Iterator[T
     """
     given, path = path, Path(os.path.realpath(path))
     try:
-        if is_special(path):
-            with open(path, "w", encoding="utf-8", newline="") as file:
+        if is_special(given):
+            with open(given, "w", encoding="utf-8", newline="") as file:
                 yield file
             return
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")

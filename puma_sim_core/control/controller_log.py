@@ -77,6 +77,24 @@ class ControllerLog:
         return replace(self, position=np.floor(self.position / step + 0.5) * step)
 
 
+    def with_delay(self, samples: int) -> ControllerLog:
+        """Each voltage beside the sample that it answers, for a controller that is late.
+
+        samples : by which the recorded voltage is later than the setpoint and position it is for.
+
+        Raises
+        ------
+        ParameterError : a number that is negative or leaves fewer than 16 samples.
+        """
+        if isinstance(samples, bool) or not isinstance(samples, int) \
+                or not 0 <= samples <= len(self) - FEWEST:
+            raise ParameterError(f"{samples!r} samples", where="delay",
+                                 expected=f"a whole number from 0 to {len(self) - FEWEST}")
+        kept = len(self) - samples
+        return replace(self, setpoint=self.setpoint[:kept], position=self.position[:kept],
+                       voltage=self.voltage[samples:])
+
+
 def even_period(time, where: str) -> float:
     """The period [s] of evenly spaced times; raises RecordingError, which names the first gap."""
     steps = np.diff(time)

@@ -66,8 +66,23 @@ def thin(curve: Curve, points: int = POINTS) -> tuple[np.ndarray, np.ndarray]:
     return x[index], y[index]
 
 
-def line_style(curve: Curve, index: int) -> dict:
-    """Colour, dashes and marker of the curve at ``index`` of its figure, as matplotlib's names."""
+def styles(figure: Figure) -> list[dict]:
+    """Colour, dashes and marker of each curve of a figure, as matplotlib's names.
+
+    Where there are as many dashed curves (or clouds of points) as full ones, each has the colour
+    of its partner.
+    """
+    full = [i for i, curve in enumerate(figure.curves) if curve.style in ("line", "steps")]
+    colour = {i: i for i in range(len(figure.curves))}
+    for kind in ("dashed", "points"):
+        others = [i for i, curve in enumerate(figure.curves) if curve.style == kind]
+        if len(others) == len(full) > 1:
+            colour.update(zip(full, range(len(full))))
+            colour.update(zip(others, range(len(others))))
+    return [_style(curve, colour[i]) for i, curve in enumerate(figure.curves)]
+
+
+def _style(curve: Curve, index: int) -> dict:
     turn = (index // len(COLOURS)) % len(_DASHES)
     style = {"color": COLOURS[index % len(COLOURS)], "linestyle": _DASHES[turn]}
     if curve.style == "dashed":
@@ -109,13 +124,26 @@ def svg(figure: Figure | Heatmap, prefix: str) -> str:
 
 
 def _draw_curves(axes, figure: Figure) -> None:
-    for index, curve in enumerate(figure.curves):
-        axes.plot(*thin(curve), **line_style(curve, index))
+    for curve, style in zip(figure.curves, styles(figure)):
+        axes.plot(*thin(curve), **style)
+    axes.margins(x=0.02)
     if figure.log_x:
         axes.set_xscale("log")
+        _label_decades(axes.xaxis, axes.get_xlim())
     if figure.log_y:
         axes.set_yscale("log")
-    axes.margins(x=0.02)
+        _label_decades(axes.yaxis, axes.get_ylim())
+
+
+def _label_decades(axis, limits) -> None:
+    """Over few decades 1, 2, 5, 10 as plain numbers, and no crowd of labels between them."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axis.set_minor_formatter(NullFormatter())
+    if limits[0] > 0 and np.log10(limits[1] / limits[0]) <= 3.2:
+        narrow = np.log10(limits[1] / limits[0]) <= 2.2
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if narrow else (1.0,)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
 def _draw_map(canvas, axes, figure: Heatmap) -> None:
@@ -144,9 +172,8 @@ def _inline(text: str, figure: Figure | Heatmap, prefix: str) -> str:
     return head + text[text.index(">") + 1:].strip()
 
 
-def legend_svg(curve: Curve, index: int) -> str:
-    """A short piece of the curve's line, for the legend beside the drawing."""
-    style = line_style(curve, index)
+def legend_svg(style: dict) -> str:
+    """A short piece of a curve's line, for the legend below the drawing."""
     colour, dashes = style["color"], style["linestyle"]
     parts = []
     if dashes != "none":

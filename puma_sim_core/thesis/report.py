@@ -13,7 +13,7 @@ import re
 from typing import Any, Callable, Mapping
 
 from .. import __version__
-from .drawing import legend_svg, svg
+from .drawing import legend_svg, styles, svg
 from .registry import Experiment
 from .result import Figure, Heatmap, Result, Row
 from .style import CSS
@@ -143,29 +143,31 @@ def _table(rows: tuple[Row, ...], heads: tuple[str, ...] | None = None) -> str:
     names = heads or ("Quantity", "Thesis", "Ours", "Where and why they differ")
     lines = []
     for row in rows:
-        unit = f" [{_rich(row.unit)}]" if row.unit not in ("", "1") else ""
+        unit = f"\N{NO-BREAK SPACE}[{_rich(row.unit)}]" if row.unit not in ("", "1") else ""
         mark, off = "", differs(row)
         if off is not None and heads is None:
             word = "differs" if off else "agrees"
             mark = f' <span class="mark {word}">{word}</span>'
-        cells = [(names[1], "value", _rich(number_text(row.printed))),
-                 (names[2], "value", _rich(number_text(row.ours)) + mark),
+        cells = [(names[1], "value printed", _rich(number_text(row.printed))),
+                 (names[2], "value ours", _rich(number_text(row.ours)) + mark),
                  ("", "note", _rich(row.note))]
         lines.append(f"<tr><th scope=\"row\">{_rich(row.quantity)}{unit}</th>" + "".join(
             f'<td class="{kind}"{f" data-name={chr(34)}{name}{chr(34)}" if name else ""}>'
             f"{text}</td>" for name, kind, text in cells) + "</tr>\n")
     head = "".join(f'<th scope="col">{name}</th>' for name in names)
-    return (f"<table>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{''.join(lines)}"
+    kind = ' class="words"' if heads else ""
+    return (f"<table{kind}>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{''.join(lines)}"
             f"</tbody>\n</table>\n")
 
 
 def _figure(figure: Figure | Heatmap, prefix: str) -> str:
-    name = f"Plot {figure.key}" if figure.key[:1].isdigit() else ""
+    # a key that is no number of the thesis belongs to a drawing of our own
+    name = f"Plot {figure.key}" if re.fullmatch(r"\d+\.\d+[a-z]?", figure.key) else ""
     title = f"{name}. {figure.title}" if name else figure.title
     legend = ""
     if isinstance(figure, Figure) and (len(figure.curves) > 1 or figure.curves[0].label):
-        items = "".join(f"<li>{legend_svg(curve, index)}<span>{_rich(curve.label)}</span></li>"
-                        for index, curve in enumerate(figure.curves))
+        items = "".join(f"<li>{legend_svg(style)}<span>{_rich(curve.label)}</span></li>"
+                        for curve, style in zip(figure.curves, styles(figure)))
         legend = f'<ul class="legend">{items}</ul>\n'
     note = f"<p>{_rich(figure.note)}</p>\n" if figure.note else ""
     return (f"<figure>\n<figcaption>{_rich(title)}</figcaption>\n{svg(figure, prefix)}\n"

@@ -61,9 +61,13 @@ footer { margin-top: 3rem; padding-bottom: 2rem; color: var(--soft); font-size: 
   h1 { font-size: 1.4rem; }
   h2 { font-size: 1.15rem; }
   nav li { grid-template-columns: 3.4rem 1fr; }
-  table, tbody, tr, th, td { display: block; width: auto !important; }
+  table, tbody, th, td { display: block; width: auto !important; min-width: 0; }
   thead { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); }
-  tr { padding: .5rem 0; border-bottom: 1px solid var(--line); }
+  tbody tr { display: grid; grid-template-columns: 1fr 1fr; column-gap: .8rem; padding: .5rem 0;
+    border-bottom: 1px solid var(--line); }
+  tbody th, td.note { grid-column: 1 / -1; }
+  td.ours { grid-column: 2; }
+  table.words td { grid-column: 1 / -1; }
   th, td { border: 0; padding: .05rem 0; }
   tbody th { font-weight: 600; }
   td[data-name]::before { content: attr(data-name) ": "; color: var(--soft); }
@@ -83,7 +87,7 @@ footer { margin-top: 3rem; padding-bottom: 2rem; color: var(--soft); font-size: 
   tr, figure, nav li { break-inside: avoid; }
   .figures { grid-template-columns: 1fr 1fr; gap: 5mm 6mm; }
   .top, details { display: none; }
-  main section { break-inside: auto; }
+  footer { margin-top: 1rem; padding: 0; break-before: avoid; }
   table { font-size: 8.5pt; }
 }
 """

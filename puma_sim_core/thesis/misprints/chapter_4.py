@@ -58,6 +58,12 @@ def _second_row():
                     np.array([rows(q, qd, 0) for q, qd in states]), 1e-10)
 
 
+def _shape_of_p():
+    rows = (reference.coriolis(POSES[0]) @ RATES[0] @ RATES[0] + reference.gravity(POSES[0]))
+    return Evidence("shape of P", "", "torques of the three joints, one below the other",
+                    rows[:, None].shape, (3, 1), (1, 3))
+
+
 def _tautology():
     """How many equations for (D13, D31) the line adds."""
     def rank(row):
@@ -180,6 +186,7 @@ ROWS = (
             "4.1 prints D_i, 5.4 to 5.7 print both; the legends define G_i and C_ijk."),
     Erratum("4.5 row 2", "equation 4.5, second row", "qd' C^1 qd + G2", "qd' C^2 qd + G2",
             _second_row),
+    Erratum("4.5 shape", "equation 4.5, P", "in R^(1 x 3)", "in R^(3 x 1)", _shape_of_p),
     Erratum("4.9 k1zz", "equation 4.9 (and 7.4.3)", "m1 k1zz", "m1 k1yy", _form("D11", "k1zz"),
             "Joint 1 turns link 1 about y1 (alpha1 = -90 deg)."),
     Erratum("4.9 d3", "equation 4.9 (and 7.4.3)", "m3 d3", "m3 d3^2", _form("D11", "d3")),

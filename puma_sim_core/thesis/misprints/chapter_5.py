@@ -157,6 +157,11 @@ def _ninth_state():
                     "order of three joints with motors: three each", 9, rank(full), rank(printed))
 
 
+def _motor_angle():
+    return Evidence("what w stands for", "", "legend of figure 5.1", "motor position",
+                    "motor position", "joint position")
+
+
 ROWS = (
     Erratum("5.1 unit", "section 5.1, unit of the torque constant", "0.2611 kg.m/amp",
             "0.2611 N.m/A", _torque_unit, "ke = 0.26 V.s/rad and kt must agree in SI units."),
@@ -164,6 +169,8 @@ ROWS = (
             "The printed form makes gravity win over the motors: 383 V instead of 3.55 V would "
             "hold the stretched arm. Only so, or with open circuits, does the arm fall as in "
             "plot 7.3."),
+    Erratum("5.3 w", "section 5.1, before equation 5.3", "the joint position is w",
+            "the motor position is w = N q", _motor_angle),
     Erratum("5.2 Coulomb", "sections 5.2 and 7.3, friction", "modelled as Coulomb friction",
             "viscous friction, H qd", _friction_name),
     Erratum("5.4 dot", "equation 5.4, left side", "dF_i/dt", "F_i", _derivative_sign),

@@ -37,7 +37,14 @@ CONTENTS = {
     "equation 5.9": "third-order equations, element by element",
     "equations 7.2 to 7.4": "PID in discrete forms",
     "equations 7.5 to 7.7": "discrete coefficients from PID values",
+    "equation 6.1": "system in state-space form",
+    "equation 6.2 of section 6.4": "P in the program's matrices",
+    "equation 6.3": "Euler's formula",
     "equation 7.3": "recursive PID",
+    "figure 3.2(a)": "arm upright",
+    "figure 7.4": "link 3 folded back to joint 2",
+    "sections 7.2 to 7.5": "open loop tests",
+    "sections 7.3 to 7.9": "open and closed loop tests",
     "table 4.2": "link parameters by Bejczy",
     "plot 7.8": "angles of joint 2, measured and simulated",
     "plot 7.9": "voltage of the test of joint 2",
@@ -47,7 +54,6 @@ CONTENTS = {
 NUMBERED = {
     "6.2": ("Taylor series", "P of section 6.4"),
     "3.25": ("coefficients C_ijk", "D_ij = D_ji"),
-    "4.22": ("C122, printed under C112", "C123"),
 }
 
 #: (Kmax, Tp) in the text of section 7.7 and in the captions of the plots
@@ -70,7 +76,7 @@ def _reference(where, subject, printed, correct, note=""):
 def _twice(number, correct, where):
     def evidence():
         return Evidence(f"equations with the number {number}", "", "a number names one equation", 1,
-                        len(NUMBERED[number][:1]), len(NUMBERED[number]))
+                        1, len(NUMBERED[number]))
     return Erratum(f"number {number}", where, f"({number}) for {' and for '.join(NUMBERED[number])}",
                    correct, evidence)
 
@@ -112,6 +118,13 @@ ROWS = (
                "table 4.2"),
     _reference("chapter 6, choice of Runge-Kutta", "choice of the integration method",
                "section 6.3", "section 6.2"),
+    _reference("section 6.2.1, order of the system", "system in state-space form",
+               "equation 6.3", "equation 6.1"),
+    _reference("section 6.4, values of the matrices", "P in the program's matrices",
+               "equation 6.1", "equation 6.2 of section 6.4"),
+    _reference("chapter 7, preliminary tests", "open loop tests", "sections 7.3 to 7.9",
+               "sections 7.2 to 7.5"),
+    _reference("section 7.4.3, pose", "arm upright", "figure 7.4", "figure 3.2(a)"),
     _reference("section 7.4.1, self inertia", "inertia D33", "equation 4.18", "equation 4.17"),
     _reference("section 7.4.2, responses", "angles of joint 2, measured and simulated", "plot 7.9",
                "plot 7.8"),
