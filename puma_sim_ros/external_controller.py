@@ -84,7 +84,7 @@ class ExternalController(Node):
         self.wait_until(self.simulator.services_are_ready)
         names = ["command_interface", "joints", "period", "voltage_limit", "paused"]
         values = [parameter_value(message) for message in
-                  self.answer(self.simulator.get_parameters(names)).values]
+                  self.answer(self.simulator.get_parameters, names).values]
         interface, self.joints, self.period, limit, paused = values
         if interface != "voltage":
             raise ControllerError(f"command_interface is {interface}", where=self.p["simulator"],
@@ -95,7 +95,7 @@ class ExternalController(Node):
         pid.reset()
         self.pid = pid
         if paused:
-            self.answer(self.simulator.set_parameters([Parameter("paused", value=False)]))
+            self.answer(self.simulator.set_parameters, [Parameter("paused", value=False)])
 
     def on_state(self, message: JointState) -> None:
         """Answer a state with a command."""
@@ -136,20 +136,35 @@ class ExternalController(Node):
         self.rows.append((t, volts, setpoint, tuple(position)))
         return volts
 
-    def wait_until(self, condition) -> None:
-        """Spin until `condition()` holds; ControllerError when nothing is heard for too long."""
-        self.heard_at = time.monotonic()
+    def wait_until(self, condition, repeat=lambda: None) -> None:
+        """Spin until `condition()` holds, calling `repeat()` each 2 s.
+
+        Raises
+        ------
+        ControllerError : nothing was heard for too long.
+        """
+        self.heard_at = repeated_at = time.monotonic()
         while not condition():
             self.spinner.spin_once(timeout_sec=0.1)
-            if time.monotonic() - self.heard_at > self.p["timeout"]:
+            now = time.monotonic()
+            if now - repeated_at > 2.0:
+                repeat()
+                repeated_at = now
+            if now - self.heard_at > self.p["timeout"]:
                 raise ControllerError(
                     f"no answer for {self.p['timeout']:g} s", where=self.p["simulator"],
                     expected="a sim_node of that name in this namespace and ROS_DOMAIN_ID")
 
-    def answer(self, future):
-        """The result of a service call."""
-        self.wait_until(future.done)
-        return future.result()
+    def answer(self, call, argument):
+        """The result of a service call.
+
+        It is asked again while no answer comes: a service drops its answer when it has not yet
+        discovered who asks.
+        """
+        futures = [call(argument)]
+        self.wait_until(lambda: any(future.done() for future in futures),
+                        lambda: futures.append(call(argument)))
+        return next(future.result() for future in futures if future.done())
 
     def recording(self) -> Recording:
         """What was done, as a table."""

@@ -158,6 +158,19 @@ class Peer:
                       and all(client.service_is_ready() for client in self.clients.values())
                       and self.node.count_publishers("joint_states") > 0
                       and self.node.count_publishers("motor_voltages") > 0, "the simulator")
+        # a service drops its answer when it has not yet found who asks: ask again until one comes,
+        # by the client that was made last; the others are found then, too
+        client = self.clients["describe_parameters"]
+        futures, asked = [], 0.0
+
+        def answered():
+            nonlocal asked
+            if time.monotonic() - asked > 1.0:
+                futures.append(client.call_async(client.srv_type.Request()))
+                asked = time.monotonic()
+            return any(future.done() for future in futures)
+
+        self.wait_for(answered, "an answer of a service")
         if reset:
             self.call("pause", data=True)
             self.wait_for(self._reaches_us, "a first state")

@@ -120,7 +120,7 @@ def test_joints_do_not_know_of_each_other():
     (lambda: Pid(GAINS, 0.01).update(0.0, [0.0], [0.0] * 3), "expected 3 of each"),
     (lambda: ServoConfig(gains=GAINS[:2]), "servo: gains .* expected PidGains of three joints"),
     (lambda: ServoConfig(amplifier_gain=0.0), "amplifier_gain 0.0; expected a positive number"),
-    (lambda: ServoConfig(converter_bits=1), "converter_bits 1; expected a whole number from 2 to 32"),
+    (lambda: ServoConfig(converter_bits=1), "converter_bits 1; expected a whole number from 2 to"),
     (lambda: ServoConfig(converter_bits=12.0), "converter_bits 12.0"),
     (lambda: ServoConfig(encoder_counts=0), "encoder_counts 0; expected a whole number from 1"),
     (lambda: ServoConfig(encoder_counts=True), "encoder_counts True"),
@@ -135,7 +135,8 @@ def test_controllers_that_cannot_be_are_refused(make, message):
 # --------------------------------------------------------------------------------- servo's chain
 
 
-SETPOINTS = np.array([0.0, -1.0, 0.5]) + 0.02 * np.random.default_rng(3).normal(size=(12, 3)).cumsum(0)
+STEPS = 0.02 * np.random.default_rng(3).normal(size=(12, 3))
+SETPOINTS = np.array([0.0, -1.0, 0.5]) + STEPS.cumsum(axis=0)
 
 
 def servo_run(servo, limit=40.0):
@@ -161,6 +162,14 @@ def test_servo_in_the_kernel_is_the_pid_class_bit_for_bit(on_measurement, gain, 
         assert bits([u * gain for u in volts]) == bits(run.voltage[row])
         limited += sum(abs(u) == limit / gain for u in volts)
     assert limited > 5
+
+
+def test_a_delay_holds_each_voltage_back_by_its_samples():
+    run = servo_run(ServoConfig(GAINS, delay_samples=3))
+    pid = Pid(GAINS, SERVO_PERIOD, limit=40.0, on_measurement=True)
+    asked = [pid.update(t, r, y) for t, r, y in zip(run.time, run.setpoint, run.position)]
+    assert not run.voltage[:3].any()
+    assert bits(run.voltage[3:-1]) == bits(asked[:-4])
 
 
 def test_converter_gives_multiples_of_its_step_in_its_range():
@@ -231,7 +240,7 @@ def test_all_four_solutions_are_reached_by_where_the_arm_is(q1, q2, q3):
     assume(well_placed(q))
     point = wrist_position(q, ARM)
     found = {}
-    for near in product(np.linspace(-math.pi, math.pi, 9), repeat=3):
+    for near in product(np.linspace(-math.pi, math.pi, 6), repeat=3):
         solution = wrist_angles(point, ARM, near)
         np.testing.assert_allclose(wrist_position(solution, ARM), point, atol=1e-12)
         found.setdefault(tuple(np.round(np.exp(1j * solution), 6)), solution)
@@ -245,7 +254,8 @@ def test_all_four_solutions_are_reached_by_where_the_arm_is(q1, q2, q3):
 @pytest.mark.parametrize("point, message", [
     ((0.0, 0.0, 0.5), r"wrist at \(0.0000, 0.0000, 0.5000\) m: too near to the axis of joint 1; "
                       "expected a distance of at least 0.1505 m"),
-    ((1.0, 0.0, 0.0), "out of reach; expected a distance from the shoulder between 0.0017 and 0.8653"),
+    ((1.0, 0.0, 0.0),
+     "out of reach; expected a distance from the shoulder between 0.0017 and 0.8653 m"),
     ((0.0, 0.1505, 0.0), "out of reach"),
 ])
 def test_points_out_of_reach_are_named(point, message):
@@ -259,7 +269,7 @@ def test_a_stretched_arm_is_in_reach():
     np.testing.assert_allclose(wrist_position(wrist_angles(point, ARM, q), ARM), point, atol=1e-9)
 
 
-START = (0.2, -1.2, 1.4)
+START = (0.2, -0.6, 0.6)
 
 
 @pytest.mark.parametrize("displacement, duration", [
@@ -268,13 +278,14 @@ def test_a_line_is_straight_and_starts_and_ends_at_rest(displacement, duration):
     time, setpoint = straight_line(ARM, START, displacement, duration)
     points = np.array([wrist_position(q, ARM) for q in setpoint])
     share = smooth_share(time / duration)
-    np.testing.assert_allclose(points, points[0] + np.outer(share, displacement), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(points, points[0] + np.outer(share, displacement), rtol=0,
+                               atol=1e-12)
     assert (setpoint[0] == START).all()
     np.testing.assert_allclose(points[-1] - points[0], displacement, rtol=0, atol=1e-12)
     np.testing.assert_allclose(np.diff(time), 0.028, atol=1e-12)
     assert duration <= time[-1] + 1e-9 < duration + 0.028 + 1e-9
     speed = np.linalg.norm(np.diff(setpoint, axis=0), axis=1)
-    assert speed[0] < 0.02 * speed.max() and speed[-1] < 0.02 * speed.max()
+    assert speed[0] < 0.05 * speed.max() and speed[-1] < 0.05 * speed.max()
     assert np.abs(np.diff(setpoint, n=2, axis=0)).max() < 0.02
 
 

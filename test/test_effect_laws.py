@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from arm_reference import (arm_of, bits, energy, open_circuit, plant_of, right_hand_side,
-                           smooth_voltages)
+from arm_reference import (arm_of, bits, energy, mass_matrix, open_circuit, plant_of,
+                           right_hand_side, smooth_voltages)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
@@ -16,6 +18,7 @@ from puma_sim_core.backend import interpreted
 from puma_sim_core.effects.friction import PRESLIDING, bristle_flow
 from puma_sim_core.effects.stops import stop_torque
 from puma_sim_core.kinematics import dh_table, link_transforms, wrist_position
+from puma_sim_core.plant import Plant
 from puma_sim_core.rigid_body import (arm_pseudo_inertias, arm_table, coriolis, gravity_torque,
                                       inertia, trace_coriolis, trace_gravity, trace_inertia)
 from puma_sim_core.simulator import SERVO_PERIOD, Constraint, Simulator
@@ -114,8 +117,8 @@ def test_presliding_has_the_hysteresis_loop_of_its_equation():
 def test_presliding_does_not_drift_under_a_constant_load():
     time = np.append(np.arange(0.0, 5.0, 0.1), [60.0, 120.0])
     for effects in (["presliding_friction:joint=1,stiffness=2e4,torque=20"],
-                    ["presliding_friction:joint=1,stiffness=1e6", "coulomb_friction:joint=1,torque=15",
-                     "stribeck_friction:joint=1,torque=5"]):
+                    ["presliding_friction:joint=1,stiffness=1e6",
+                     "coulomb_friction:joint=1,torque=15", "stribeck_friction:joint=1,torque=5"]):
         run, _ = on_joint_1(effects, time, np.full(len(time), 12.0))
         assert run.position[-1, 0] > 0.0
         assert abs(run.position[-1, 0] - run.position[-2, 0]) < 1e-9
@@ -175,12 +178,34 @@ def test_the_stiffest_bristles_are_stable_at_the_servo_rate():
     assert np.abs(np.subtract(simulator.state[:3], before[:3])).max() < 1e-12
 
 
+@pytest.mark.parametrize("joint", range(3))
+def test_bristles_far_below_their_level_are_springs_of_the_order_of_the_method(joint):
+    # a joint without motor and gravity then vibrates for ever, and no step may add to it
+    stiffness, speed, duration = 1e5, 1e-6, 0.2
+    plant = plant_of(f"presliding_friction:joint={joint + 1},stiffness={stiffness},torque=500")
+    plant = open_circuit(Plant(replace(plant.arm, gravity=0.0), plant.effects))
+    omega = np.sqrt(stiffness / mass_matrix(plant, (0.0, -1.0, 0.5))[joint, joint])
+    start = np.zeros(3)
+    start[joint] = speed
+    errors = []
+    for n in (1, 2, 4):
+        simulator = Simulator(plant, max_step=SERVO_PERIOD / n, constraints=[
+            Constraint() if j == joint else HOLD for j in range(3)])
+        simulator.reset((0.0, -1.0, 0.5), start)
+        time = SERVO_PERIOD * np.arange(duration / SERVO_PERIOD)
+        run = simulator.run(time, np.zeros((len(time), 3)))
+        velocity = run.velocity[:, joint] / speed
+        assert np.abs(velocity).max() <= 1.0
+        errors.append(np.abs(velocity - np.cos(omega * time)).max())
+    assert errors[0] / errors[1] > 12.0 and errors[1] / errors[2] > 12.0
+
+
 @settings(deadline=None, max_examples=20)
 @given(st.integers(0, 2**32 - 1), st.floats(1e2, 1e6))
 def test_bristles_never_make_energy(seed, stiffness):
-    levels = (20.0, 20.0, 10.0)
-    plant = open_circuit(plant_of(*[f"presliding_friction:joint={j},torque={c},stiffness={stiffness!r}"
-                                    for j, c in zip((1, 2, 3), levels)]))
+    plant = open_circuit(plant_of(*[
+        f"presliding_friction:joint={j},torque={c},stiffness={stiffness!r}"
+        for j, c in ((1, 20), (2, 20), (3, 10))]))
     random = np.random.default_rng(seed)
     simulator = Simulator(plant)
     simulator.reset(random.uniform(-2, 2, 3), random.uniform(-2, 2, 3))
@@ -274,6 +299,13 @@ def test_a_stop_never_pulls_back(q, qd, ends, stiffness, damping):
         assert torque == 0.0
     else:
         assert torque * (1.0 if q > ends[1] else -1.0) >= 0.0
+
+
+@pytest.mark.parametrize("q, qd", [(1.001, -5.0), (-1.001, 5.0)])
+def test_a_stop_lets_go_of_a_joint_that_leaves_it_fast(q, qd):
+    # its damping alone would hold the joint back with 500 N.m; the spring gives 10 N.m
+    assert interpreted(stop_torque)((-1.0, 1.0, 1e4, 100.0), 0, q, qd) == 0.0
+    assert abs(interpreted(stop_torque)((-1.0, 1.0, 1e4, 100.0), 0, q, -qd)) > 500.0
 
 
 def test_an_arm_rests_on_its_stop_by_load_over_stiffness():

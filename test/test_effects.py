@@ -141,7 +141,8 @@ def run(plant):
 @every_kind
 def test_an_effect_with_neutral_values_changes_no_bit(kind):
     joints = [f"joint={j}," for j in (1, 2, 3)] if kind.per_joint else [""]
-    assert run(plant_of(*[f"{kind.name}:{j}{NEUTRAL[kind.name]}" for j in joints])) == run(plant_of())
+    neutral = [f"{kind.name}:{joint}{NEUTRAL[kind.name]}" for joint in joints]
+    assert run(plant_of(*neutral)) == run(plant_of())
 
 
 def test_a_sticking_joint_is_a_held_joint_and_no_event_for_the_others():
@@ -190,7 +191,7 @@ def test_values_left_out_are_defaults_or_come_from_the_arm():
     ("coulomb_friction:joint=1,torqe=3",
      "effect coulomb_friction: unknown parameter 'torqe'; expected one of torque"),
     ("coulomb_friction:joint=1",
-     r"effect coulomb_friction: 'torque' is missing; expected torque=VALUE in N.m \(Fc, at the joint\)"),
+     r"effect coulomb_friction: 'torque' is missing; expected torque=VALUE in N.m \(Fc, at the"),
     ("coulomb_friction:torque=3", "coulomb_friction: joint None; expected joint=1, 2 or 3"),
     ("coulomb_friction:joint=4,torque=3", "coulomb_friction: joint 4; expected joint=1, 2 or 3"),
     ("coulomb_friction:joint=0,torque=3", "joint 0; expected joint=1, 2 or 3"),
@@ -206,7 +207,7 @@ def test_values_left_out_are_defaults_or_come_from_the_arm():
     ("coulomb_friction:joint=1,torque=x", "torque=x; expected a number"),
     ("coulomb_friction:joint=1,torque", "'torque'; expected key=value"),
     ("coulomb_friction:joint=1,torque=", "'torque='; expected key=value"),
-    ("soft_stop:joint=1,lower=2,upper=1", "soft_stop: lower=2, upper=1.*expected lower below upper"),
+    ("soft_stop:joint=1,lower=2,upper=1", "lower=2, upper=1.*; expected lower below upper"),
 ])
 def test_an_effect_that_cannot_be_used_is_named(text, message):
     with pytest.raises(ParameterError, match=message):
@@ -223,7 +224,8 @@ def test_values_outside_the_bounds_are_refused(kind):
     for p in kind.parameters:
         for value in (math.nextafter(p.low, -math.inf), math.nextafter(p.high, math.inf), math.nan,
                       math.inf, "1", True, None if p.default is None and not p.from_arm else [1]):
-            with pytest.raises(ParameterError, match=rf"effect {kind.name}: .*{p.name}.*; expected"):
+            message = rf"effect {kind.name}: .*{p.name}.*; expected"
+            with pytest.raises(ParameterError, match=message):
                 placed(kind, {**inside, p.name: value})
 
 

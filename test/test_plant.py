@@ -102,7 +102,7 @@ def effect_entry(**changes):
     (None, f"no model; expected a mapping with format: {MODEL_FORMAT}"),
     ([], "no model"),
     ({"parameters": "bejczy"}, "no model"),
-    (changed(format="puma-sim model 99"), "format 'puma-sim model 99'; expected 'puma-sim model 1'"),
+    (changed(format="puma-sim model 9"), "format 'puma-sim model 9'; expected 'puma-sim model 1'"),
     (changed(colour="red"), "unknown key 'colour'; expected one of format, version"),
     (changed(parameters=...), "'parameters' is missing"),
     (changed(effects={"a": 1}), "effects: {'a': 1}; expected a list"),

@@ -200,7 +200,8 @@ def test_limits_report_joint_quantity_time_and_value():
 def test_a_limit_may_be_an_error():
     limits = Limits(acceleration=(1.0, 1e9, 1e9))
     simulator = simulator_of(start=(NOTHING,), limits=limits, on_limit="error")
-    with pytest.raises(LimitError, match="joint 1: acceleration .* rad/s.2 at .* s is outside -1 to 1"):
+    message = "joint 1: acceleration .* rad/s.2 at .* s is outside -1 to 1"
+    with pytest.raises(LimitError, match=message):
         simulator.run(np.arange(0.0, 0.1, 0.01), np.tile((40.0, 0.0, 0.0), (10, 1)))
     with pytest.raises(ParameterError, match="on_limit 'stop'; expected report or error"):
         Simulator(plant_of(), on_limit="stop")
@@ -265,7 +266,8 @@ def test_numbers_that_cannot_be_used_are_refused(call, message):
 
 @pytest.mark.parametrize("text, constraint", [
     ("free", Constraint()), ("hold", Constraint("hold")), ("velocity", Constraint("velocity")),
-    ("velocity:0.5", Constraint("velocity", 0.5)), ("acceleration:-1", Constraint("acceleration", -1)),
+    ("velocity:0.5", Constraint("velocity", 0.5)),
+    ("acceleration:-1", Constraint("acceleration", -1)),
 ])
 def test_constraints_are_read_from_text(text, constraint):
     assert Constraint.parse(text) == constraint

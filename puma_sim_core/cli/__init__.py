@@ -15,9 +15,9 @@ from collections.abc import Callable, Sequence
 
 from .. import __version__
 from ..errors import PumaSimError
-from . import bench, listing, model, recover, replay, simulate, thesis
+from . import bench, identify_controller, listing, model, recover, replay, simulate, thesis, tune
 
-_COMMANDS = (simulate, replay, recover, listing, model, thesis, bench)
+_COMMANDS = (simulate, replay, recover, listing, model, thesis, tune, identify_controller, bench)
 #: a value such as -0.1,0,0, which argparse would take for an option
 _NEGATIVE = re.compile(r"-\.?[0-9]")
 

@@ -10,9 +10,9 @@ those that the controller read: --position-step rounds to an encoder's step.
   puma-sim identify-controller run.csv --joint 1 --position-step 1.00451e-4
   puma-sim identify-controller pose1.csv pose2.csv       are the gains the same at both poses?
 
-Printed are Kg, Ti and Td with their confidence intervals; where the voltage is rounded and nothing
-else disturbs it, also the bounds outside which they cannot be. A log that does not determine them
-is refused.
+Printed are Kg, Ti and Td with confidence intervals; where rounding of the voltage is the only error
+in the log, with the intervals outside which they cannot be. A log that does not determine them is
+refused.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from ..errors import ParameterError
+from ..errors import ParameterError, RecordingError
 from .arguments import number
 
 if TYPE_CHECKING:
@@ -104,9 +104,12 @@ def _free(log, estimate, options) -> TransferFunction | None:
 
     if estimate.derivative == "measurement" or estimate.saturated:
         return None
-    return identify_transfer_function(log, method=METHODS[1], confidence=estimate.confidence,
-                                      forgetting=(1.0 if options.forgetting is None
-                                                  else float(options.forgetting)))
+    try:
+        return identify_transfer_function(log, method=METHODS[1], confidence=estimate.confidence,
+                                          forgetting=(1.0 if options.forgetting is None
+                                                      else float(options.forgetting)))
+    except RecordingError:  # enough motion for three gains, not for five coefficients
+        return None
 
 
 def _report(e: PidEstimate, free: TransferFunction | None):
@@ -116,13 +119,11 @@ def _report(e: PidEstimate, free: TransferFunction | None):
                      ("position", e.position_step * 1e3, "mrad")) if value > 0.0)
     left_out = f", {e.saturated} saturated ones left out" if e.saturated else ""
     yield f"{e.where}: {e.samples} samples of {e.period * 1e3:.5g} ms{left_out}{steps}"
-    interval = f"{e.confidence * 100:g} % interval"
-    yield f"  {'':<10}{'value':>11}  {interval:<25}" + ("bounds" if e.bounds else "")
+    yield f"  {'':<10}{'value':>11}  " + ("certain interval" if e.rounding_only
+                                           else f"{e.confidence * 100:g} % interval")
     names = (("Kg, V/rad", e.gain), ("Ti, s", e.integral_time), ("Td, s", e.derivative_time))
-    for row, (name, found) in enumerate(names):
-        bounds = "" if e.bounds is None else f"{e.bounds[row][0]:.6g} to {e.bounds[row][1]:.6g}"
-        span = f"{found.low:.6g} to {found.high:.6g}"
-        yield f"  {name:<10}{found.value:>11.6g}  {span:<25}{bounds}".rstrip()
+    for name, found in names:
+        yield f"  {name:<10}{found.value:>11.6g}  {found.low:.6g} to {found.high:.6g}"
     q = e.coefficients
     what = {"measurement": "less the measurement", "error": "the error",
             "either": "the error"}[e.derivative]
@@ -157,9 +158,11 @@ def _remainder(e: PidEstimate) -> str:
     share = e.residual / (e.voltage_step / 12.0 ** 0.5)
     if e.rounding_only:
         return "  rounding of the voltage explains all that is left"
+    if share < 1.2:
+        return f"  {e.residual:.3g} V rms are left, about what rounding of the voltage leaves"
     return (f"  {e.residual:.3g} V rms are left, {share:.3g} times what rounding of the voltage "
-            "leaves: no certain bounds (other noise, other positions than the controller read, "
-            "a delay, a limit, or gains that change)")
+            "leaves (other noise, other positions than the controller read, a delay, a limit, or "
+            "gains that change)")
 
 
 def _verdict(c: GainComparison):

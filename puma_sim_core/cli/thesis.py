@@ -141,7 +141,7 @@ def _table(rows: tuple[Row, ...], wide: int, heads: tuple[str, str]) -> str:
     lines = [f"{'':{first}}  {heads[0]:<{column}}  {heads[1]}", "-" * wide]
     for row in rows:
         unit = f" [{row.unit}]" if row.unit not in ("", "1") else ""
-        cells = [textwrap.wrap(text, width) or [""] for text, width in (
+        cells = [_wrapped(text, width) for text, width in (
             (row.quantity + unit, first), (number_text(row.printed), column),
             (number_text(row.ours), column))]
         for i in range(max(map(len, cells))):
@@ -151,6 +151,11 @@ def _table(rows: tuple[Row, ...], wide: int, heads: tuple[str, str]) -> str:
             lines.append(textwrap.fill(row.note, wide, initial_indent="    ",
                                        subsequent_indent="    "))
     return "\n".join(lines)
+
+
+def _wrapped(text: str, width: int) -> list[str]:
+    lines = [part for line in text.split("\n") for part in textwrap.wrap(line, width)]
+    return lines or [""]
 
 
 def _whole(text: str, option: str, least: int) -> int:

@@ -33,6 +33,8 @@ _STYLE = {
 }
 #: a second round of the colours is told from the first by its dashes
 _DASHES = ("-", (0, (1, 1)), (0, (4, 1, 1, 1)))
+_RAISED = str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077"
+                        "\u2078\u2079")
 
 
 def require_matplotlib() -> None:
@@ -140,6 +142,8 @@ def _label_decades(axis, limits) -> None:
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axis.set_minor_formatter(NullFormatter())
+    axis.set_major_formatter(FuncFormatter(
+        lambda value, _: f"10{str(round(np.log10(value))).translate(_RAISED)}"))
     if limits[0] > 0 and np.log10(limits[1] / limits[0]) <= 3.2:
         narrow = np.log10(limits[1] / limits[0]) <= 2.2
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if narrow else (1.0,)))

@@ -88,7 +88,7 @@ def run(context: Context) -> Result:
     rows.append(Row("motion of joints 1, 2, 3 with section 4.5's numbers, first second", "rad",
                     _triple(apart), _triple(residue),
                     "Greatest distance from the corrected model, of the printed numbers and of the "
-                    "numbers with their misprints mended; what is left of those is four digits."))
+                    "numbers with their misprints mended; those have four digits."))
     numbers["motion with the numbers of section 4.5"] = {
         "printed_apart_rad": apart.round(9).tolist(),
         "corrected_apart_rad": residue.round(9).tolist()}

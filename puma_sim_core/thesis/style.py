@@ -31,7 +31,8 @@ th, td { text-align: left; vertical-align: top; padding: .35rem .6rem .35rem 0;
   border-bottom: 1px solid var(--line); overflow-wrap: break-word; }
 thead th { border-bottom: 1.5px solid var(--ink); font-size: .82rem; color: var(--soft); }
 tbody th { font-weight: 500; width: 27%; }
-td.value { font-variant-numeric: tabular-nums; width: 13%; }
+td.value { font-variant-numeric: tabular-nums; width: 14%; white-space: pre-line; }
+table.words td.value { width: 22%; }
 td.note { color: var(--soft); }
 .mark { font-size: .78rem; white-space: nowrap; font-weight: 600; display: block; }
 .mark.differs { color: var(--differs); }

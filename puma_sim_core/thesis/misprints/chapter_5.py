@@ -9,7 +9,7 @@ import numpy as np
 from ...rigid_body import coriolis, gravity_torque, inertia
 from ...third_order import acceleration_from_current, current_rate, joint_torque_per_ampere
 from .evidence import Erratum, Evidence
-from .reference import ACCELERATIONS, JERKS, POSES, RATES, VISCOUS, nominal
+from .reference import (ACCELERATIONS, JERKS, POSES, RATES, VISCOUS, gravity, nominal)
 
 _STEP = 1e-40
 
@@ -90,11 +90,13 @@ def _equation_5_7(slip):
 
 
 def _gear_ratio():
-    _, _, emf, torque = motors()
+    resistance, _, emf, torque = motors()
     constants = np.array([motor.torque_constant for motor in nominal().motors])
-    return Evidence("torque at joints 1, 2, 3 for one ampere", "N.m/A",
-                    "power: what the back-emf takes is what the joint gets (ke N)", emf, torque,
-                    constants, 0.005 * float(np.max(emf)))
+    stretched = np.array([0.0, 0.0, np.pi / 2])
+    load = abs(gravity(stretched)[1])
+    holding = [float((resistance / k * load)[1]) for k in (emf, torque, constants)]
+    return Evidence(f"voltage that holds joint 2 of the stretched arm, {load:.2f} N.m", "V",
+                    "power: what the back-emf takes is what the joint gets (ke N)", *holding, 0.02)
 
 
 def _torque_unit():
@@ -166,9 +168,7 @@ ROWS = (
     Erratum("5.1 unit", "section 5.1, unit of the torque constant", "0.2611 kg.m/amp",
             "0.2611 N.m/A", _torque_unit, "ke = 0.26 V.s/rad and kt must agree in SI units."),
     Erratum("5.2 gear", "equation 5.2", "F = kt i", "F = N kt i at the joint", _gear_ratio,
-            "The printed form makes gravity win over the motors: 383 V instead of 3.55 V would "
-            "hold the stretched arm. Only so, or with open circuits, does the arm fall as in "
-            "plot 7.3."),
+            "Only with the printed form, or with open circuits, does the arm fall as in plot 7.3."),
     Erratum("5.3 w", "section 5.1, before equation 5.3", "the joint position is w",
             "the motor position is w = N q", _motor_angle),
     Erratum("5.2 Coulomb", "sections 5.2 and 7.3, friction", "modelled as Coulomb friction",

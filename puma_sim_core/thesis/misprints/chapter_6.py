@@ -13,7 +13,7 @@ from ...third_order import acceleration_from_current, current_rate, joint_torque
 from . import reference
 from .chapter_5 import jerk_of_currents, motors, rate
 from .evidence import Between, Erratum, Evidence
-from .reference import ACCELERATIONS, POSES, RATES, VISCOUS, nominal
+from .reference import POSES, RATES, VISCOUS, nominal
 
 _VOLTS = np.random.default_rng(600).uniform(-40.0, 40.0, (len(POSES), 3))
 _CURRENTS = np.random.default_rng(601).uniform(-8.0, 8.0, (len(POSES), 3))

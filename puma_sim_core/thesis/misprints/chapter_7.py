@@ -276,6 +276,6 @@ ROWS = (
             _quoted_gain(176.0, 0.04, (8618.0, 8913.0), 0.45)),
     Erratum("7.10 differ", "summary of chapter 7, estimated against measured PID, upright", "17 %",
             "28.9 % at least", _summary_difference,
-            "Gain, integral and derivative time differ by 49, 46 and 41 % of the identified values, "
-            "by 96, 87 and 29 % of the estimated ones."),
+            "Gain, integral and derivative time differ by 49, 46 and 41 % of the identified "
+            "values, by 96, 87 and 29 % of the estimated ones."),
 )

@@ -77,8 +77,8 @@ def _twice(number, correct, where):
     def evidence():
         return Evidence(f"equations with the number {number}", "", "a number names one equation", 1,
                         1, len(NUMBERED[number]))
-    return Erratum(f"number {number}", where, f"({number}) for {' and for '.join(NUMBERED[number])}",
-                   correct, evidence)
+    both = " and for ".join(NUMBERED[number])
+    return Erratum(f"number {number}", where, f"({number}) for {both}", correct, evidence)
 
 
 def _caption(plot, note):

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""Tune one joint by the ultimate-sensitivity method of Ziegler and Nichols (section 7.6.1).
+
+The other joints are locked. The gain at which a proportional controller makes the joint oscillate,
+and the period of that oscillation, are found twice: from the eigenvalues of the linearised and
+exactly sampled joint, and on the nonlinear simulator. Table 7.2 makes controllers of them.
+
+  puma-sim tune --joint 2 --pose 0,-90,90
+  puma-sim tune --joint 1 --pose 0,0,90 --period 0.028 --delay 1
+"""
+
+from __future__ import annotations
+
+import argparse
+
+from ..errors import ParameterError
+from .arguments import add_plant_arguments, number, plant_of, three_numbers
+
+NAME = "tune"
+SUMMARY = "ultimate gain, period and PID settings of a joint at a pose"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--joint", metavar="1|2|3", required=True, help="the joint that moves")
+    parser.add_argument("--pose", metavar="Q1,Q2,Q3", default="0,0,0",
+                        help="where the joints stand [deg] (0,0,0)")
+    parser.add_argument("--period", metavar="S", help="time between samples [s] (28/30 ms)")
+    parser.add_argument("--delay", metavar="N", default="0",
+                        help="samples by which a voltage acts late (0)")
+    parser.add_argument("--limit", metavar="V/RAD", default="1e6",
+                        help="greatest gain that is looked at [V/rad] (1e6)")
+    parser.add_argument("--method", choices=("both", "eigenvalues", "simulation"), default="both",
+                        help="how (both)")
+    add_plant_arguments(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Tune and print; raises ParameterError, LimitError, TuningError or ModelError."""
+    joint, delay = _whole(options.joint, "--joint"), _whole(options.delay, "--delay")
+    pose = three_numbers(options.pose, "--pose", "deg")
+    limit = number(options.limit, "--limit")
+    period = None if options.period is None else number(options.period, "--period")
+
+    from math import inf, radians
+
+    from ..control.linear import is_linear
+    from ..control.ziegler_nichols import (SETTINGS, Loop, settings, ultimate_by_eigenvalues,
+                                           ultimate_by_simulation)
+    from ..simulator import SERVO_PERIOD
+
+    plant = plant_of(options)
+    loop = Loop(plant, joint, tuple(map(radians, pose)), SERVO_PERIOD if period is None else period,
+                delay)
+    found = {}
+    if options.method != "simulation":
+        found["eigenvalues"] = ultimate_by_eigenvalues(loop, limit=limit)
+    if options.method != "eigenvalues":
+        found["simulation"] = ultimate_by_simulation(loop, limit=limit)
+    print(f"joint {joint} of {plant.arm.name} at ({', '.join(f'{q:g}' for q in pose)}) deg, the "
+          f"others locked; sampled each {loop.period * 1e3:.6g} ms, {delay} samples of delay\n")
+    print(f"{'':13}{'Kmax [V/rad]':>14}{'Tp [s]':>12}")
+    for name, ultimate in found.items():
+        print(f"{name:13}{ultimate.gain:14.6g}{ultimate.period:12.5g}")
+    if len(found) == 2:
+        a, b = found.values()
+        print(f"{'difference':13}{b.gain / a.gain - 1.0:14.2%}{b.period / a.period - 1.0:12.2%}")
+    best = next(iter(found.values()))
+    if best.least_gain:
+        print(f"below {best.least_gain:.4g} V/rad the joint falls over")
+    if not is_linear(plant):
+        print("note: the plant has friction, limits or stops that eigenvalues cannot see; with "
+              "them the simulation's answer holds for small motion only")
+    print(f"\n{'table 7.2':13}{'Kg [V/rad]':>14}{'Ti [s]':>12}{'Td [s]':>12}")
+    for method in SETTINGS:
+        gains = settings(best, method)
+        times = (gains.integral_time, gains.derivative_time)
+        cells = "".join(f"{'-':>12}" if t in (0.0, inf) else f"{t:12.5g}" for t in times)
+        print(f"{method:13}{gains.gain:14.6g}{cells}")
+    return 0
+
+
+def _whole(text: str, option: str) -> int:
+    """The whole number that an option was given; raises ParameterError."""
+    try:
+        return int(text)
+    except ValueError:
+        raise ParameterError(f"'{text}'", where=option, expected="a whole number") from None

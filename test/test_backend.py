@@ -1,0 +1,221 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The compiled and the interpreted kernel give the same bits; the cache is never in the way."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from puma_sim_core import backend
+
+needs_numba = pytest.mark.skipif(importlib.util.find_spec("numba") is None, reason="no numba")
+
+#: plants, constraints and how they run, with every effect and stage of the kernel among them
+PROGRAM = """
+import json
+import numpy as np
+from puma_sim_core.backend import BACKEND
+from puma_sim_core.control.servo import ServoConfig
+from puma_sim_core.effects import KINDS, parse_effect
+from puma_sim_core.plant import Plant
+from puma_sim_core.session import Session, SessionConfig
+from puma_sim_core.simulator import Constraint, Simulator
+
+dry = ["coulomb_friction:joint=1,torque=12", "coulomb_friction:joint=2,torque=5",
+       "asymmetric_coulomb_friction:joint=2,positive=8,negative=3",
+       "asymmetric_coulomb_friction:joint=3,positive=7.1,negative=5.6"]
+stribeck = [f"stribeck_friction:joint={j},torque=4,velocity=0.07" for j in (1, 2, 3)]
+bristle = [f"presliding_friction:joint={j},torque=3" for j in (1, 3)]
+rest = ["viscous_friction:joint=2,coefficient=9.5", "voltage_saturation:joint=1,voltage=9",
+        "current_limit:joint=3,current=2", "soft_stop:joint=1,lower=-0.1,upper=0.15",
+        "soft_stop:joint=2", "payload:mass=1.3,x=0.02"]
+every = dry + stribeck + bristle + rest
+assert {text.partition(":")[0] for text in every} == set(KINDS)
+plants = {"none": [], "dry": dry, "dry and stribeck": dry + stribeck, "bristle": bristle,
+          "rest": rest, "all": every}
+constraints = {"free": "free free free", "mixed": "free hold velocity:0.3",
+               "accelerated": "acceleration:0.4 free free"}
+time = np.arange(0.0, 0.6, 0.02)
+volts = np.column_stack([12 * np.sin(9 * time), 14 * np.cos(7 * time), -9 * np.sin(11 * time)])
+setpoint = np.array([0.05, -1.0, 0.8]) + 0.05 * np.sin(np.outer(np.arange(15), (0.5, 0.3, 0.7)))
+result = {}
+
+def add(name, *arrays):
+    result[name] = [float(value).hex() for array in arrays for value in np.ravel(array)]
+
+for plant_name, effects in plants.items():
+    for form in ("physical", "printed"):
+        plant = Plant.of("bejczy", map(parse_effect, effects), form)
+        for name, kinds in constraints.items():
+            simulator = Simulator(plant, constraints=list(map(Constraint.parse, kinds.split())))
+            simulator.reset((0.0, -1.1, 0.9))
+            run = simulator.run(time, volts, acceleration=True)
+            add(f"{plant_name}, {form}, {name}", run.position, run.velocity, run.current,
+                run.acceleration, simulator.bristles)
+    simulator = Simulator(plant)
+    simulator.reset((0.0, -1.0, 0.8))
+    for servo in (ServoConfig(), ServoConfig(amplifier_gain=4.0, converter_bits=12,
+                                             encoder_counts=1000, derivative_on_measurement=False)):
+        run = simulator.run_servo(setpoint, servo)
+        add(f"{plant_name}, servo {servo.converter_bits}", run.position, run.current, run.voltage)
+    session = Session(SessionConfig(plant, "position", initial_position=(0.0, -1.0, 0.8)))
+    for target in setpoint:
+        session.command(target)
+        state = session.step()
+    add(f"{plant_name}, session", *state[2:])
+print(json.dumps([BACKEND, result]))
+"""
+
+
+def python(program, **environment):
+    changed = {**os.environ, **environment}
+    return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True,
+                          env={k: v for k, v in changed.items() if v is not None})
+
+
+@needs_numba
+def test_compiled_and_interpreted_kernels_give_the_same_bits():
+    results = {}
+    for kernel in ("numba", "python"):
+        done = python(PROGRAM, PUMA_SIM_KERNEL=kernel)
+        assert done.returncode == 0, done.stderr
+        name, results[kernel] = json.loads(done.stdout)
+        assert name == kernel
+    assert results["numba"].keys() == results["python"].keys() and len(results["numba"]) > 50
+    for name, numbers in results["numba"].items():
+        assert numbers == results["python"][name], name
+
+
+def test_the_environment_chooses_the_kernel():
+    program = "from puma_sim_core.backend import BACKEND; print(BACKEND)"
+    assert python(program, PUMA_SIM_KERNEL="python").stdout.strip() == "python"
+    expected = "numba" if importlib.util.find_spec("numba") else "python"
+    for choice in ("auto", None):
+        assert python(program, PUMA_SIM_KERNEL=choice).stdout.strip() == expected
+
+
+def test_an_unknown_kernel_is_an_error_that_says_what_there_is():
+    done = python("import puma_sim_core.kernel", PUMA_SIM_KERNEL="bogus")
+    assert done.returncode != 0
+    assert ("ParameterError: environment variable PUMA_SIM_KERNEL: kernel 'bogus'; "
+            "expected auto, numba or python") in done.stderr
+
+
+#: an environment without numba
+HIDDEN = "import sys; sys.modules['numba'] = None; "
+
+
+def test_without_numba_the_kernel_is_plain_python():
+    done = python(HIDDEN + "from puma_sim_core.plant import Plant; "
+                  "from puma_sim_core.simulator import Simulator; "
+                  "print(Simulator(Plant.of()).step((1, 2, 3))[6:], "
+                  "__import__('puma_sim_core.backend').backend.BACKEND)", PUMA_SIM_KERNEL="auto")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip().endswith("python")
+
+
+def test_asking_for_numba_where_there_is_none_is_an_error():
+    done = python(HIDDEN + "import puma_sim_core.backend", PUMA_SIM_KERNEL="numba")
+    assert "numba is not installed; expected python or auto, or `pip install numba`" in done.stderr
+
+
+def test_what_does_not_simulate_does_not_import_numba():
+    program = ("import sys; import puma_sim_core, puma_sim_core.parameters, "
+               "puma_sim_core.kinematics, puma_sim_core.rigid_body, puma_sim_core.third_order, "
+               "puma_sim_core.recording, puma_sim_core.bag; "
+               "from puma_sim_core.parameters import load_parameters; load_parameters('bejczy'); "
+               "print([name for name in sys.modules if name.partition('.')[0] in "
+               "('numba', 'llvmlite', 'scipy', 'rclpy')])")
+    done = python(program)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "[]"
+
+
+# ----------------------------------------------------------------------------------------- cache
+
+
+def copied_package(tmp_path):
+    """Sources that may be changed, for the digest alone."""
+    import shutil
+    copy = tmp_path / "puma_sim_core"
+    shutil.copytree(backend._PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    return copy
+
+
+def test_a_change_of_any_compiled_source_is_another_cache(tmp_path, monkeypatch):
+    copy = copied_package(tmp_path)
+    monkeypatch.setattr(backend, "_PACKAGE", copy)
+    digests = [backend._source_digest()]
+    for name in ("kernel.py", "contact.py", "runs.py", "lanes.py", "backend.py",
+                 "effects/friction.py", "effects/base.py", "control/pid.py", "control/servo.py"):
+        with open(copy / name, "a", encoding="utf-8") as file:
+            file.write("\n# changed\n")
+        digests.append(backend._source_digest())
+    (copy / "effects" / "new_family.py").write_text("KINDS = ()\n")
+    digests.append(backend._source_digest())
+    assert len(set(digests)) == len(digests)
+    with open(copy / "session.py", "a", encoding="utf-8") as file:
+        file.write("\n# changed\n")
+    assert backend._source_digest() == digests[-1]
+
+
+def test_every_module_whose_code_others_compile_is_in_the_digest():
+    # numba itself notices a change in the file of an entry point
+    listed = [backend._PACKAGE / name for name in backend._SOURCES]
+    for path in backend._PACKAGE.rglob("*.py"):
+        text = path.read_text(encoding="utf-8")
+        if "\n@inlined\n" in text or "\n@outlined\n" in text:
+            assert any(path == item or item in path.parents for item in listed), path
+
+
+def test_the_cache_is_in_the_users_cache_folder(tmp_path, monkeypatch):
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    folder = backend._cache_directory()
+    assert folder == str(tmp_path / "puma_sim" / f"kernel-{backend._source_digest()}")
+    assert os.path.isdir(folder) and not os.listdir(folder)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "own"))
+    assert backend._cache_directory().startswith(str(tmp_path / "own"))
+
+
+def test_without_a_folder_to_write_there_is_no_cache(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file" / "below"))
+    assert backend._cache_directory() is None
+    monkeypatch.delenv("XDG_CACHE_HOME")
+
+    def homeless(path):
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(backend.Path, "expanduser", homeless)
+    assert backend._cache_directory() is None
+
+
+@needs_numba
+def test_a_kernel_without_a_cache_compiles_and_runs(tmp_path):
+    # a path below a file cannot be made, by no user whatever
+    (tmp_path / "file").write_text("")
+    done = python("from puma_sim_core.runs import terminal_voltages; "
+                  "from puma_sim_core.plant import Plant; "
+                  "from puma_sim_core.backend import _CACHE; "
+                  "from puma_sim_core.simulator import native; "
+                  "table = native(Plant.of().constants.table); "
+                  "print(_CACHE, terminal_voltages(1.0, 2.0, 3.0, table))",
+                  PUMA_SIM_KERNEL="numba", NUMBA_CACHE_DIR=None,
+                  XDG_CACHE_HOME=str(tmp_path / "file" / "below"))
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "None (1.0, 2.0, 3.0)"
+
+
+@needs_numba
+def test_the_folder_of_other_users_of_numba_is_left_as_it_was(tmp_path):
+    done = python("import numba; before = numba.config.CACHE_DIR; import puma_sim_core.runs; "
+                  "print(numba.config.CACHE_DIR == before)",
+                  PUMA_SIM_KERNEL="numba", XDG_CACHE_HOME=str(tmp_path))
+    assert done.stdout.strip() == "True", done.stderr

@@ -1,0 +1,410 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""The page and the JSON: valid, the same on every run, and drawn as promised in a real browser."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from puma_sim_core.errors import ParameterError
+from puma_sim_core.thesis import registry
+from puma_sim_core.thesis.drawing import POINTS, styles, thin
+from puma_sim_core.thesis.json_file import json_text
+from puma_sim_core.thesis.registry import Context, Experiment, experiments, find
+from puma_sim_core.thesis.report import differs, first_sentence, number_text, page
+from puma_sim_core.thesis.result import Curve, Figure, Heatmap, Result, Row
+from puma_sim_core.thesis.runner import run
+
+from cli_support import call, puma_sim
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome",
+                                                "chrome"))), None)
+needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
+#: no screen, no sandbox (containers run as root), no look-ups of its own
+FLAGS = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+         "--disable-background-networking", "--disable-component-update", "--disable-sync",
+         "--hide-scrollbars", "--enable-logging=stderr", "--host-resolver-rules=MAP * ~NOTFOUND")
+#: experiments that take less than a second, with words, numbers and curves in them
+QUICK = ("2.4", "4.3", "4.4", "4.5")
+HARD = 'a < b & "c" > \'d\' $x$ \\ <script>alert(1)</script> \u00b0'
+
+
+def made(summary="It works. It is a test.", **parts) -> dict:
+    """One experiment that gives this result."""
+    result = Result(summary, **parts)
+    found = Experiment("7.7.1", "A title", "7.7", lambda context: result)
+    return {found.number: (found, result)}
+
+
+def every_kind() -> dict:
+    """A result with each kind of row, curve and figure."""
+    x = np.linspace(0.0, 10.0, 5000)
+    gap = np.where((x > 3) & (x < 4), np.nan, np.sin(x))
+    figures = (
+        Figure("7.17", "Lines", "time [s]", "q1 [rad]", (
+            Curve("line", x, np.sin(x)), Curve("gap", x, gap, "dashed"),
+            Curve("steps", x[::500], np.cos(x[::500]), "steps"),
+            Curve("points", x[::700], np.cos(x[::700]), "points"), Curve("one point", [5.0], [0.5])),
+            note=HARD),
+        Figure("own-log", "Logarithms", "step [s]", "error [rad]",
+               (Curve("error", 10.0 ** np.arange(-5.0, 0.0), 10.0 ** np.arange(-12.0, -2.0, 2.0)),),
+               log_x=True, log_y=True),
+        Heatmap("own-map", HARD, "q2 [deg]", "q3 [deg]", np.arange(4.0), np.arange(3.0),
+                np.array([[1.0, 2.0, 3.0, 4.0], [2.0, np.nan, 4.0, 5.0], [3.0, 4.0, 5.0, 6.0]]),
+                "gain [V/rad]"))
+    rows = (Row("a number", "V", 7.5, 3.553, "It does not reproduce."), Row(HARD, "kg.m^2", None, 1e-16),
+            Row("words", "", HARD, "T3\nin two lines"), Row("equal", "s", 0.45, 0.4501))
+    return made(rows=rows, figures=figures, numbers={"list": [1, None, 2.5], "yes": True},
+                page_rows=(Row("run time", "s", 540.0, 0.123, "A faster computer."),),
+                page_figures=(Figure("own-time", "Only on the page", "x", "y",
+                                     (Curve("", [0, 1], [1, 2]),)),))
+
+
+@pytest.fixture(scope="module")
+def quick_results():
+    return run([experiments()[number] for number in QUICK], seed=1)
+
+
+# ------------------------------------------------------------------------------------------ results
+
+
+def test_a_result_refuses_what_json_and_plots_cannot_hold():
+    with pytest.raises(ValueError, match="expected a finite number"):
+        Row("q", "V", None, float("nan"))
+    with pytest.raises(ValueError, match="'worst'.*expected a finite number"):
+        Result("s", numbers={"worst": [1.0, np.inf]})
+    with pytest.raises(ValueError, match="expected two equally long"):
+        Curve("c", [1.0, 2.0], [1.0])
+    with pytest.raises(ValueError, match="expected two equally long, non-empty"):
+        Curve("c", [], [])
+    with pytest.raises(ValueError, match="style 'wavy'"):
+        Curve("c", [1.0], [1.0], "wavy")
+    with pytest.raises(ValueError, match=r"expected \(nx,\), \(ny,\), \(ny, nx\)"):
+        Heatmap("k", "t", "x", "y", np.arange(3), np.arange(2), np.zeros((3, 2)), "v")
+
+
+def test_numpy_numbers_become_plain_ones():
+    result = Result("s", rows=(Row("q", "V", np.float64(1.5), np.int64(2)),),
+                    numbers={"a": np.arange(2), "b": np.bool_(True)})
+    assert type(result.rows[0].printed) is float and type(result.rows[0].ours) is int
+    assert result.numbers == {"a": [0, 1], "b": True}
+
+
+def test_random_numbers_depend_on_seed_and_name_alone():
+    first = Context(3).rng("noise").random(4)
+    assert np.array_equal(first, Context(3).rng("noise").random(4))
+    assert not np.array_equal(first, Context(3).rng("other").random(4))
+    assert not np.array_equal(first, Context(4).rng("noise").random(4))
+
+
+# ----------------------------------------------------------------------------------------- registry
+
+
+def test_experiments_stand_in_the_order_of_the_thesis():
+    numbers = list(experiments())
+    digits = [tuple(map(int, re.findall(r"\d+", number.split("-")[0]))) for number in numbers
+              if number[0].isdigit()]
+    assert digits == sorted(digits)
+    assert set(QUICK) <= set(numbers)
+    # all names without a number come last
+    assert [number[0].isdigit() for number in numbers] == [True] * len(digits) + [False] * (
+        len(numbers) - len(digits))
+
+
+def test_find_gives_one_or_a_section_and_names_what_there_is():
+    assert [each.number for each in find("4.3")] == ["4.3"]
+    assert [each.number for each in find("4")] == ["4.3", "4.4", "4.5"]
+    with pytest.raises(ParameterError, match=r"no experiment '9.9'; expected one of 2.4, 4.3"):
+        find("9.9")
+
+
+def test_two_modules_cannot_take_one_number():
+    experiments()
+    with pytest.raises(ValueError, match="experiment 4.3 stands in"):
+        registry.experiment("4.3", "again")(lambda context: None)
+
+
+# --------------------------------------------------------------------------------------------- JSON
+
+
+def test_json_holds_everything_and_nothing_that_changes():
+    text = json_text(every_kind(), seed=5)
+    def refuse(name):
+        raise AssertionError(f"{name} is not JSON")
+    content = json.loads(text, parse_constant=refuse)
+    (found,) = content["experiments"]
+    assert content["seed"] == 5 and found["number"] == "7.7.1"
+    assert [each["quantity"] for each in found["rows"]] == ["a number", HARD, "words", "equal"]
+    assert found["rows"][1]["ours"] == 1e-16 and found["rows"][1]["printed"] is None
+    assert found["numbers"] == {"list": [1, None, 2.5], "yes": True}
+    lines, logs, field = found["figures"]
+    assert [curve["label"] for curve in lines["curves"]] == ["line", "gap", "steps", "points",
+                                                            "one point"]
+    assert None in lines["curves"][1]["y"] and logs["log_x"] and field["values"][1][1] is None
+    assert "run time" not in text and "Only on the page" not in text
+
+
+def test_json_is_the_same_on_every_run_and_however_it_is_run(quick_results, tmp_path):
+    chosen = [experiments()[number] for number in QUICK]
+    again = json_text(run(chosen, seed=1), 1)
+    assert json_text(quick_results, 1) == again
+    assert json_text(run(chosen, seed=1, jobs=2), 1) == again
+    assert json_text(run(chosen, seed=2), 2) != again
+    # an experiment alone finds what it finds among others
+    alone = json.loads(json_text(run(chosen[:1], seed=1), 1))["experiments"][0]
+    assert alone == json.loads(again)["experiments"][0]
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_progress_goes_from_nought_to_one(jobs):
+    seen = []
+    run([experiments()[number] for number in QUICK[1:]], 1, jobs,
+        lambda what, share: seen.append(share))
+    assert all(a <= b for a, b in zip(seen, seen[1:])) and 0.0 <= seen[0] and seen[-1] <= 1.0
+
+
+def test_a_failing_experiment_is_named():
+    def fail(context):
+        raise ZeroDivisionError("no gain")
+    with pytest.raises(RuntimeError, match=r"experiment 9.1 \(Broken\) failed: no gain"):
+        run([Experiment("9.1", "Broken", "9", fail)], 1)
+
+
+# -------------------------------------------------------------------------------------------- curves
+
+
+def test_thinning_keeps_ends_peaks_and_gaps():
+    x = np.linspace(0.0, 1.0, 20000)
+    y = np.sin(300 * x)
+    y[12345], y[777], y[15000:15003] = 9.0, -9.0, np.nan
+    tx, ty = thin(Curve("c", x, y))
+    assert tx.size <= 1.2 * POINTS and np.all(np.diff(tx) > 0)
+    assert (tx[0], tx[-1], np.nanmax(ty), np.nanmin(ty)) == (x[0], x[-1], 9.0, -9.0)
+    assert np.isnan(ty).any()
+    short = Curve("c", x[:100], y[:100])
+    assert thin(short)[0] is short.x
+
+
+def test_dashed_curves_have_the_colour_of_their_partners():
+    figure = Figure("k", "t", "x", "y", tuple(
+        Curve(f"{name} {style}", [0, 1], [0, 1], style) for name in "ab"
+        for style in ("line", "dashed")))
+    one, one_dashed, two, two_dashed = styles(figure)
+    assert one["color"] == one_dashed["color"] != two["color"] == two_dashed["color"]
+    assert one["linestyle"] != one_dashed["linestyle"]
+
+
+# ---------------------------------------------------------------------------------------------- page
+
+
+class Outline(HTMLParser):
+    """Identifiers, links and open elements of a page."""
+
+    VOID = {"meta", "link", "br", "hr", "img", "input"}
+
+    def __init__(self):
+        super().__init__()
+        self.identifiers, self.references, self.open, self.tags = [], [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        attrs = dict(attrs)
+        self.tags.append(tag)
+        if "id" in attrs:
+            self.identifiers.append(attrs["id"])
+        for name in ("href", "xlink:href", "src"):
+            if name in attrs:
+                self.references.append(attrs[name])
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.handle_starttag(tag, attrs)
+        if tag not in self.VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+def outline_of(text) -> Outline:
+    outline = Outline()
+    outline.feed(text)
+    outline.close()
+    assert outline.open == []
+    return outline
+
+
+def test_page_stands_alone_and_every_link_in_it_leads_somewhere():
+    text = page(every_kind(), seed=1)
+    outline = outline_of(text)
+    assert len(outline.identifiers) == len(set(outline.identifiers))
+    for reference in outline.references:
+        assert reference.startswith(("#", "data:")), reference
+        if reference.startswith("#"):
+            assert reference[1:] in outline.identifiers
+    for reference in re.findall(r"url\(([^)]*)\)", text):
+        assert reference.strip("'\"").startswith("#"), reference
+    assert "script" not in outline.tags and "@import" not in text
+
+
+def test_page_escapes_and_says_where_numbers_differ():
+    text = page(every_kind(), seed=1)
+    assert "<script>" not in text
+    assert html.escape(HARD) in text
+    assert 'class="mark differs"' in text and 'class="mark agrees"' in text
+    assert "kg.m<sup>2</sup>" in text and "1\u00d710<sup>\u221216</sup>" in text
+    assert "run time" in text and "Plot 7.17." in text and "Plot own" not in text
+
+
+def test_page_is_the_same_on_every_run():
+    assert page(every_kind(), seed=1) == page(every_kind(), seed=1)
+
+
+@pytest.mark.parametrize("value, text", [
+    (None, ""), (True, "yes"), (3, "3"), (-0.5, "\u22120.5"), (2.49764, "2.4976"),
+    (1.6e-9, "1.6\u00d710^-9"), ("about 3", "about 3"), (1234567.0, "1.2346\u00d710^6")])
+def test_numbers_read_well(value, text):
+    assert number_text(value) == text
+
+
+@pytest.mark.parametrize("printed, ours, expected", [
+    (7.5, 7.564, False), (7.5, 3.553, True), (None, 1.0, None), ("few", 1.0, None), (0, 0.0, False),
+    (0.0, 1e-3, True)])
+def test_differs(printed, ours, expected):
+    assert differs(Row("q", "", printed, ours)) is expected
+
+
+def test_first_sentence():
+    assert first_sentence("One 3.5 V of e.g. two.\nTwo. Three.") == "One 3.5 V of e.g. two."
+
+
+@pytest.mark.parametrize("number", QUICK)
+def test_a_row_that_differs_says_why(quick_results, number):
+    for each in quick_results[number][1].rows:
+        assert not differs(each) or each.note, each.quantity
+
+
+# -------------------------------------------------------------------------------------------- command
+
+
+def test_command_lists_runs_and_writes(tmp_path, capsys):
+    assert call("thesis") == 0
+    listed = capsys.readouterr().out
+    assert all(re.search(rf"^{re.escape(number)} ", listed, re.MULTILINE) for number in QUICK)
+    out = tmp_path / "new" / "folder"
+    assert call("thesis", "4.3", "--out", out) == 0
+    shown = capsys.readouterr().out
+    assert "D22, equation 4.13 [kg.m^2]" in shown and "thesis-4.3.html" in shown
+    assert json.loads((out / "thesis-4.3.json").read_text())["experiments"][0]["number"] == "4.3"
+    assert sorted(each.name for each in out.iterdir()) == ["thesis-4.3.html", "thesis-4.3.json"]
+
+
+@pytest.mark.parametrize("arguments, message", [
+    (["9.9"], "no experiment '9.9'; expected one of 2.4"),
+    (["--all", "4.3"], "expected one of the two"),
+    (["4.3", "--seed", "x"], "--seed: 'x'; expected a whole number, 0 or more"),
+    (["4.3", "--jobs", "0"], "--jobs: '0'; expected a whole number, 1 or more"),
+    (["--out", "x"], "nothing to run for --out")])
+def test_command_refuses(arguments, message, capsys):
+    assert call("thesis", *arguments) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_command_refuses_a_file_as_folder(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert call("thesis", "4.3", "--out", tmp_path / "file") == 2
+    assert "cannot be made" in capsys.readouterr().err
+
+
+def test_command_in_a_process_of_its_own_gives_the_same_bytes(tmp_path):
+    for name in "ab":
+        done = puma_sim("thesis", "2.4", "--out", tmp_path / name, "--seed", "7")
+        assert done.returncode == 0 and done.stderr == ""
+    first, second = ((tmp_path / name / "thesis-2.4.json").read_bytes() for name in "ab")
+    assert first == second
+
+
+# ------------------------------------------------------------------------------------------- browser
+
+
+PROBE = """<!DOCTYPE html><body style="margin:0">
+<iframe id="page" style="border:0;width:{width}px;height:900px" srcdoc="{page}"></iframe>
+<pre id="found"></pre>
+<script>
+document.getElementById("page").onload = function () {{
+  const inner = this.contentDocument, found = {{}};
+  const size = (each) => {{ const r = each.getBoundingClientRect(); return [r.width, r.height]; }};
+  found.drawings = [...inner.querySelectorAll("svg.drawing")].map((each) => ({{
+    size: size(each), inked: [...each.querySelectorAll("path,use,image,text")].filter((part) => {{
+      const box = part.getBBox(); return box.width + box.height > 0; }}).length,
+    outside: [...each.querySelectorAll("text")].filter((part) => {{
+      const r = part.getBoundingClientRect(), e = each.getBoundingClientRect();
+      return r.left < e.left - 2 || r.right > e.right + 2 || r.top < e.top - 2
+        || r.bottom > e.bottom + 2; }}).map((part) => part.textContent) }}));
+  found.keys = [...inner.querySelectorAll("svg.key")].map(size);
+  found.rows = [...inner.querySelectorAll("tbody tr")].map(size);
+  found.width = [inner.documentElement.scrollWidth, inner.documentElement.clientWidth];
+  found.text = inner.body.innerText.length;
+  document.getElementById("found").textContent = JSON.stringify(found);
+}};
+</script></body>"""
+
+
+def browse(path, folder, *flags):
+    """Run Chromium on a file; returns its output and what it wrote to the console."""
+    done = subprocess.run([CHROMIUM, *FLAGS, f"--user-data-dir={folder / 'profile'}", *flags,
+                           path.as_uri()], capture_output=True, text=True, timeout=120)
+    console = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+    return done.stdout, console
+
+
+def probe(text, folder, width) -> dict:
+    """What a browser finds in the page at a width [CSS pixels]."""
+    path = folder / f"probe{width}.html"
+    path.write_text(PROBE.format(width=width, page=html.escape(text)), encoding="utf-8")
+    shown, console = browse(path, folder, "--window-size=1300,1000", "--virtual-time-budget=10000",
+                            "--dump-dom")
+    assert console == []
+    return json.loads(html.unescape(re.search(r'<pre id="found">(.*?)</pre>', shown, re.S)[1]))
+
+
+def check_drawn(text, folder) -> None:
+    """Every figure drawn, nothing wider than the page, no word cut off: on a desk and a phone."""
+    for width in (1280, 390):
+        found = probe(text, folder, width)
+        assert len(found["drawings"]) == text.count("<figure>")
+        for drawing in found["drawings"]:
+            across, down = drawing["size"]
+            assert 300 <= across <= width and 150 <= down <= 0.9 * across
+            assert drawing["inked"] >= 10
+            assert drawing["outside"] == []
+        assert all(min(size) > 0 for size in (*found["keys"], *found["rows"]))
+        assert found["width"][0] <= found["width"][1] <= width
+        assert found["text"] > 500
+
+
+@needs_chromium
+@pytest.mark.timeout(240)
+def test_browser_draws_every_kind_of_figure(tmp_path):
+    check_drawn(page(every_kind(), seed=1), tmp_path)
+
+
+@needs_chromium
+@pytest.mark.timeout(240)
+def test_browser_draws_every_figure_of_the_experiments(tmp_path, quick_results):
+    text = page(quick_results, seed=1)
+    check_drawn(text, tmp_path)
+    path = tmp_path / "thesis.html"
+    path.write_text(text, encoding="utf-8")
+    # as a reader opens it: from the disk, with no network
+    assert browse(path, tmp_path, "--dump-dom")[1] == []
+    assert browse(path, tmp_path, f"--print-to-pdf={tmp_path / 'thesis.pdf'}")[1] == []
+    assert (tmp_path / "thesis.pdf").read_bytes().startswith(b"%PDF")
