@@ -18,7 +18,8 @@ from .errors import ParameterError
 
 _PACKAGE = Path(__file__).resolve().parent
 #: what the compiled kernel is made of; a change of any of them makes an older cache void
-_SOURCES = ("backend.py", "kernel.py", "contact.py", "runs.py", "lanes.py", "effects", "control")
+_SOURCES = ("backend.py", "kernel.py", "contact.py", "runs.py", "lanes.py", "effects",
+            "control/pid.py", "control/servo.py")
 
 
 def _choose() -> str:

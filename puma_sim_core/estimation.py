@@ -16,14 +16,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
+from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import least_squares
 from scipy.stats import chi2, norm
 
 from .errors import ParameterError
 from .plant import Plant
 from .rigid_body import inertia
-from .simulator import SERVO_PERIOD, Constraint, Simulator
+from .simulator import Constraint, Simulator
 
 #: a direction of the parameters that the records tell a million times less of than another
 GREATEST_CONDITION = 1e6
@@ -68,10 +68,10 @@ def _through(values, noise, step, rng):
 class Record:
     """One recorded motion.
 
-    time (n,) [s]; voltage (n, 3) [V], row r held to time[r + 1]; every: the angles were taken at
-    each `every`-th time; angle (m, 3) [rad]; joints: those whose angles count (the others are
-    locked or unused); constraints: how the joints were held; start (3,) [rad] and current (3,)
-    [A]: the state from rest, as measured.
+    time (n,) [s], evenly spaced; voltage (n, 3) [V], row r held to time[r + 1]; every: the angles
+    were taken at each `every`-th time; angle (m, 3) [rad]; joints: those whose angles count (the
+    others are locked or unused); constraints: how the joints were held; start (3,)
+    [rad] and current (3,) [A]: the state from rest, as measured.
     """
 
     time: np.ndarray
@@ -167,26 +167,43 @@ def record_from_servo(plant: Plant, setpoint, *, joint: int, instrument: Instrum
 
 
 def _whitener(record: Record, joint: int, plant: Plant, instrument: Instrument) -> np.ndarray:
-    """Lower Cholesky factor of the covariance of one joint's residuals (m, m).
+    """(m, m) lower triangle W that makes one joint's residuals r independent and of spread 1: W r.
 
-    Noise of the angle; noise of each recorded voltage, which moves the motor of the model like a
-    first-order lag with the inertia at the start; the unknown angle of the start.
+    The residual is the unknown angle of the start, what the noise of each recorded voltage moves
+    (the motor as a first-order lag, with the inertia at the start), and the noise of the angle. W
+    holds the innovations of the Kalman filter of that process: W' W is the inverse of the
+    residuals' covariance, without a matrix to be inverted.
     """
-    t = record.time[::record.every]
-    covariance = instrument.angle_deviation(joint) ** 2 * np.eye(len(t))
-    covariance += START_SPREAD ** 2
-    if instrument.voltage_deviation > 0.0 and record.voltage[:, joint - 1].any():
-        motor = plant.arm.motors[joint - 1]
-        torque = plant.torque_per_ampere[joint - 1]
-        M = inertia(np.array(record.start), plant.loaded_arm)[joint - 1, joint - 1]
-        slope = (motor.back_emf * motor.gear_ratio
-                 + motor.resistance * plant.viscous_friction[joint - 1] / torque)
-        lag = motor.resistance * (M + motor.inertia) / (torque * slope)
-        ages = t[:, None] - record.time[None, :-1]
-        reply = np.where(ages > 0.0, -np.expm1(-np.maximum(ages, 0.0) / lag), 0.0) / slope
-        reply *= np.diff(record.time)
-        covariance += instrument.voltage_deviation ** 2 * (reply @ reply.T)
-    return cholesky(covariance, lower=True)
+    m = len(record.angle)
+    motor = plant.arm.motors[joint - 1]
+    torque = plant.torque_per_ampere[joint - 1]
+    M = inertia(np.array(record.start), plant.loaded_arm)[joint - 1, joint - 1]
+    slope = (motor.back_emf * motor.gear_ratio
+             + motor.resistance * plant.viscous_friction[joint - 1] / torque)
+    lag = motor.resistance * (M + motor.inertia) / (torque * slope) if slope > 0.0 else 1.0
+    spread = instrument.voltage_deviation if record.voltage[:, joint - 1].any() else 0.0
+    h = float(record.time[1] - record.time[0])
+    kept = float(np.exp(-h / lag))
+    step = np.array([[1.0, lag * (1.0 - kept)], [0.0, kept]])
+    push = (np.array([h - lag * (1.0 - kept), 1.0 - kept]) * spread / slope if spread
+            else np.zeros(2))
+    # from one recorded angle to the next
+    F, Q = np.eye(2), np.zeros((2, 2))
+    for _ in range(record.every):
+        F, Q = step @ F, step @ Q @ step.T + np.outer(push, push)
+    noise = instrument.angle_deviation(joint) ** 2
+    P = np.diag([START_SPREAD ** 2, 0.0])
+    guess = np.zeros((2, m))
+    W = np.zeros((m, m))
+    for k in range(m):
+        variance = P[0, 0] + noise
+        innovation = -guess[0]
+        innovation[k] += 1.0
+        W[k] = innovation / np.sqrt(variance)
+        gain = P[:, 0] / variance
+        guess = F @ (guess + np.outer(gain, innovation))
+        P = F @ (P - np.outer(gain, gain) * variance) @ F.T + Q
+    return W
 
 
 def estimate(model: Callable[[np.ndarray], Plant], records: Sequence[Record],
@@ -226,7 +243,7 @@ def estimate(model: Callable[[np.ndarray], Plant], records: Sequence[Record],
             angles = record.simulated(plant)
             for j in record.joints:
                 difference = angles[:, j - 1] - record.angle[:, j - 1]
-                parts.append(solve_triangular(factors[r, j], difference, lower=True))
+                parts.append(factors[r, j] @ difference)
         if roots is not None:
             parts.append(roots @ (share - np.asarray(prior[0]) / guess))
         return np.concatenate(parts)
@@ -280,6 +297,3 @@ def with_gyration(plant: Plant, changes: dict[str, float]) -> Plant:
         links[n] = replace(links[n], gyration_squared=tuple(k))
     return Plant(replace(plant.arm, links=tuple(links)), plant.effects, plant.torque_form)
 
-
-#: time between the samples of a record's voltages [s]
-RECORD_PERIOD = SERVO_PERIOD

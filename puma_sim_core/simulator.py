@@ -14,6 +14,7 @@ from math import isfinite
 import numpy as np
 
 from .backend import BACKEND
+from .closed_loop import Controller, ControlLoop, samples_per_period
 from .control.servo import ServoConfig
 from .errors import LimitError, NonFiniteStateError, ParameterError
 from .kernel import LOCKED
@@ -268,18 +269,9 @@ class Simulator:
         ------
         ParameterError, NonFiniteStateError, LimitError : as `run`.
         """
-        setpoint = np.ascontiguousarray(setpoint, dtype=float)
-        if setpoint.ndim != 2 or setpoint.shape[1] != 3 or not np.isfinite(setpoint).all():
-            raise ParameterError(f"setpoint of shape {setpoint.shape}", expected="(n, 3), finite")
-        if not len(setpoint):
-            raise ParameterError("no setpoint", expected="one at least")
+        setpoint = _setpoints(setpoint, period, voltage_limit)
         if isinstance(samples, bool) or not isinstance(samples, int) or samples < 1:
             raise ParameterError(f"samples {samples!r}", expected="a whole number of at least 1")
-        if not voltage_limit > 0.0:
-            raise ParameterError(f"voltage_limit {voltage_limit!r} V",
-                                 expected="a positive number")
-        if not (isfinite(period) and period > 0.0):
-            raise ParameterError(f"period {period!r} s", expected="a positive number")
         h = period / samples
         steps = int(step_counts(np.array([h]), self.max_step)[0])
         servo_table = native(servo.table(h, voltage_limit,
@@ -291,8 +283,42 @@ class Simulator:
         self._finish(_guarded(out, run_servo, self.state, self.bristles, _rows(setpoint), samples,
                               steps, h / steps, servo_table, memory, *self._kernel, out, volts),
                      out)
+        return self._sampled(setpoint, samples, h, out, volts, acceleration)
+
+    def run_controller(self, controller: Controller, setpoint, *, period: float = 0.028,
+                       voltage_limit: float = 40.0, chain: ServoConfig = ServoConfig(),
+                       acceleration: bool = False) -> Recording:
+        """Run under any controller (see `closed_loop`) from the present state; it is reset first.
+
+        setpoint : (n, 3) [rad], each held for one period [s], a whole number of the controller's
+        own; voltage_limit : at the motors [V]; chain : encoder, converter, amplifier and delay
+        around the controller, ideal by default.
+
+        Returns
+        -------
+        Recording of a row a sample, as `run_servo`.
+
+        Raises
+        ------
+        ParameterError : also for a rate that does not fit, or other than three voltages.
+        NonFiniteStateError, LimitError : as `run`.
+        """
+        setpoint = _setpoints(setpoint, period, voltage_limit)
+        samples = samples_per_period(controller, period)
+        h = period / samples
+        loop = ControlLoop(controller, chain, h, int(step_counts(np.array([h]), self.max_step)[0]),
+                           voltage_limit, [m.gear_ratio for m in self.plant.arm.motors],
+                           self._kernel)
+        n = len(setpoint) * samples
+        out, volts = np.empty((n + 1, 12)), np.zeros((n + 1, 3))
+        self._finish(loop.run(self.state, self.bristles, setpoint, samples, self.time, out, volts),
+                     out)
+        return self._sampled(setpoint, samples, h, out, volts, acceleration)
+
+    def _sampled(self, setpoint, samples, h, out, volts, acceleration) -> Recording:
+        """The recording of a closed loop with samples each h; volts (n, 3), the last row free."""
         volts[-1] = volts[-2]
-        time = self.time + h * np.arange(n + 1)
+        time = self.time + h * np.arange(len(out))
         self.time = float(time[-1])
         held = np.repeat(setpoint, samples, axis=0)
         return self._recorded(time, volts, out, acceleration,
@@ -344,6 +370,20 @@ def _guarded(out, run, *arguments) -> int:
         return run(*arguments)
     except (OverflowError, ValueError, ZeroDivisionError):
         return int(np.flatnonzero(np.isnan(out[:, 0]))[0])
+
+
+def _setpoints(setpoint, period, voltage_limit) -> np.ndarray:
+    """(n, 3) setpoints [rad] as an array, or a ParameterError on what a closed loop cannot use."""
+    setpoint = np.ascontiguousarray(setpoint, dtype=float)
+    if setpoint.ndim != 2 or setpoint.shape[1] != 3 or not np.isfinite(setpoint).all():
+        raise ParameterError(f"setpoint of shape {setpoint.shape}", expected="(n, 3), finite")
+    if not len(setpoint):
+        raise ParameterError("no setpoint", expected="one at least")
+    if not voltage_limit > 0.0:
+        raise ParameterError(f"voltage_limit {voltage_limit!r} V", expected="a positive number")
+    if not (isfinite(period) and period > 0.0):
+        raise ParameterError(f"period {period!r} s", expected="a positive number")
+    return setpoint
 
 
 def table(time, values, name: str) -> tuple[np.ndarray, np.ndarray]:

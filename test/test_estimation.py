@@ -9,9 +9,9 @@ import pytest
 
 from puma_sim_core.backend import BACKEND
 from puma_sim_core.errors import ParameterError
-from puma_sim_core.estimation import (Instrument, _whitener, estimate, record_from_servo,
-                                      with_gyration)
-from puma_sim_core.rigid_body import lumped_constants
+from puma_sim_core.estimation import (START_SPREAD, Instrument, _whitener, estimate,
+                                      record_from_servo, with_gyration)
+from puma_sim_core.rigid_body import inertia, lumped_constants
 from puma_sim_core.thesis.motions import UPRIGHT
 from puma_sim_core.thesis.radii import (LUMPS, SCALED, WAIST, Campaign, demand, gyration, lumps,
                                         with_friction, with_lumps)
@@ -66,7 +66,7 @@ def test_spread_of_open_loop_angles_is_what_the_weights_assume(campaign):
             rng=np.random.default_rng(n), servo=campaign.servo)
         residuals.append(record.simulated(plant)[:, 0] - record.angle[:, 0])
     residuals = np.array(residuals)
-    L = _whitener(record, 1, plant, campaign.instrument)
+    L = np.linalg.inv(_whitener(record, 1, plant, campaign.instrument))
     # contrasts to the start, since the angle of the start is free
     moving = slice(60, None, 20)
     contrast = residuals[:, moving] - residuals[:, :20].mean(axis=1, keepdims=True)
@@ -149,3 +149,24 @@ def test_estimation_without_records_or_scale_is_refused(campaign, records, guess
 def test_unknown_radii_are_refused(campaign, name):
     with pytest.raises(ParameterError, match="k1xx to k3zz"):
         with_gyration(campaign.nominal, {name: 0.1})
+
+
+def test_weights_are_the_inverse_of_the_covariance_summed_voltage_by_voltage(campaign):
+    record, plant, instrument = campaign.upright_records[0], campaign.hidden(1), campaign.instrument
+    motor, torque = plant.arm.motors[0], plant.torque_per_ampere[0]
+    M = float(inertia(np.array(UPRIGHT), plant.arm)[0, 0]) + motor.inertia
+    slope = (motor.back_emf * motor.gear_ratio
+             + motor.resistance * plant.viscous_friction[0] / torque)
+    lag = motor.resistance * M / (torque * slope)
+    t, h = record.time[::record.every], record.time[1]
+
+    def ramp(age):
+        return np.where(age > 0.0, age - lag * (1.0 - np.exp(-np.maximum(age, 0.0) / lag)), 0.0)
+
+    age = t[:, None] - record.time[None, :-1]
+    reply = (ramp(age) - ramp(age - h)) / slope
+    covariance = (instrument.angle_deviation(1) ** 2 * np.eye(len(t)) + START_SPREAD ** 2
+                  + instrument.voltage_deviation ** 2 * reply @ reply.T)
+    W = _whitener(record, 1, plant, instrument)
+    assert (W == np.tril(W)).all()
+    np.testing.assert_allclose(W @ covariance @ W.T, np.eye(len(t)), rtol=0, atol=1e-10)

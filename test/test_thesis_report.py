@@ -35,6 +35,7 @@ FLAGS = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-
 #: experiments that take less than a second, with words, numbers and curves in them
 QUICK = ("2.4", "4.3", "4.4", "4.5")
 HARD = 'a < b & "c" > \'d\' $x$ \\ <script>alert(1)</script> \u00b0'
+LONG = "damping ratio of the least damped oscillation of all three joints together [1]"
 
 
 def made(summary="It works. It is a test.", **parts) -> dict:
@@ -52,15 +53,16 @@ def every_kind() -> dict:
         Figure("7.17", "Lines", "time [s]", "q1 [rad]", (
             Curve("line", x, np.sin(x)), Curve("gap", x, gap, "dashed"),
             Curve("steps", x[::500], np.cos(x[::500]), "steps"),
-            Curve("points", x[::700], np.cos(x[::700]), "points"), Curve("one point", [5.0], [0.5])),
-            note=HARD),
+            Curve("points", x[::700], np.cos(x[::700]), "points"),
+            Curve("one point", [5.0], [0.5])), note=HARD),
         Figure("own-log", "Logarithms", "step [s]", "error [rad]",
                (Curve("error", 10.0 ** np.arange(-5.0, 0.0), 10.0 ** np.arange(-12.0, -2.0, 2.0)),),
                log_x=True, log_y=True),
-        Heatmap("own-map", HARD, "q2 [deg]", "q3 [deg]", np.arange(4.0), np.arange(3.0),
+        Heatmap("own-map", HARD, LONG, LONG, np.arange(4.0), np.arange(3.0),
                 np.array([[1.0, 2.0, 3.0, 4.0], [2.0, np.nan, 4.0, 5.0], [3.0, 4.0, 5.0, 6.0]]),
-                "gain [V/rad]"))
-    rows = (Row("a number", "V", 7.5, 3.553, "It does not reproduce."), Row(HARD, "kg.m^2", None, 1e-16),
+                LONG))
+    rows = (Row("a number", "V", 7.5, 3.553, "It does not reproduce."),
+            Row(HARD, "kg.m^2", None, 1e-16),
             Row("words", "", HARD, "T3\nin two lines"), Row("equal", "s", 0.45, 0.4501))
     return made(rows=rows, figures=figures, numbers={"list": [1, None, 2.5], "yes": True},
                 page_rows=(Row("run time", "s", 540.0, 0.123, "A faster computer."),),
@@ -73,7 +75,7 @@ def quick_results():
     return run([experiments()[number] for number in QUICK], seed=1)
 
 
-# ------------------------------------------------------------------------------------------ results
+# ----------------------------------------------------------------------------------------- results
 
 
 def test_a_result_refuses_what_json_and_plots_cannot_hold():
@@ -105,7 +107,7 @@ def test_random_numbers_depend_on_seed_and_name_alone():
     assert not np.array_equal(first, Context(4).rng("noise").random(4))
 
 
-# ----------------------------------------------------------------------------------------- registry
+# ---------------------------------------------------------------------------------------- registry
 
 
 def test_experiments_stand_in_the_order_of_the_thesis():
@@ -132,7 +134,7 @@ def test_two_modules_cannot_take_one_number():
         registry.experiment("4.3", "again")(lambda context: None)
 
 
-# --------------------------------------------------------------------------------------------- JSON
+# -------------------------------------------------------------------------------------------- JSON
 
 
 def test_json_holds_everything_and_nothing_that_changes():
@@ -178,7 +180,7 @@ def test_a_failing_experiment_is_named():
         run([Experiment("9.1", "Broken", "9", fail)], 1)
 
 
-# -------------------------------------------------------------------------------------------- curves
+# ------------------------------------------------------------------------------------------ curves
 
 
 def test_thinning_keeps_ends_peaks_and_gaps():
@@ -202,7 +204,7 @@ def test_dashed_curves_have_the_colour_of_their_partners():
     assert one["linestyle"] != one_dashed["linestyle"]
 
 
-# ---------------------------------------------------------------------------------------------- page
+# -------------------------------------------------------------------------------------------- page
 
 
 class Outline(HTMLParser):
@@ -292,7 +294,7 @@ def test_a_row_that_differs_says_why(quick_results, number):
         assert not differs(each) or each.note, each.quantity
 
 
-# -------------------------------------------------------------------------------------------- command
+# ----------------------------------------------------------------------------------------- command
 
 
 def test_command_lists_runs_and_writes(tmp_path, capsys):
@@ -332,7 +334,7 @@ def test_command_in_a_process_of_its_own_gives_the_same_bytes(tmp_path):
     assert first == second
 
 
-# ------------------------------------------------------------------------------------------- browser
+# ----------------------------------------------------------------------------------------- browser
 
 
 PROBE = """<!DOCTYPE html><body style="margin:0">

@@ -154,8 +154,10 @@ def _table(rows: tuple[Row, ...], wide: int, heads: tuple[str, str]) -> str:
 
 
 def _wrapped(text: str, width: int) -> list[str]:
-    lines = [part for line in text.split("\n") for part in textwrap.wrap(line, width)]
-    return lines or [""]
+    if "\n" in text:
+        # a matrix, with its columns one below the other
+        return text.split("\n")
+    return textwrap.wrap(text, width) or [""]
 
 
 def _whole(text: str, option: str, least: int) -> int:

@@ -33,6 +33,7 @@ class Enclosure:
         rows = rows / self._scale
         self._sides = np.vstack([rows, -rows])
         self._limits = np.concatenate([values / half, -values / half]) + 1.0 + _SLACK
+        self._found: dict[tuple[float, ...], tuple[float, float] | None] = {}
 
     def is_empty(self) -> bool:
         """Whether no theta fits."""
@@ -40,10 +41,14 @@ class Enclosure:
 
     def ends(self, along: Sequence[float]) -> tuple[float, float] | None:
         """Least and greatest value of along' theta; None where the set is empty."""
-        cost = np.asarray(along, dtype=float) / self._scale
-        size = np.abs(cost).max()
-        low, high = (self._solve(sign * cost / size) for sign in (1.0, -1.0))
-        return None if low is None or high is None else (low * size, -high * size)
+        along = tuple(float(a) for a in along)
+        if along not in self._found:
+            cost = np.array(along) / self._scale
+            size = float(np.abs(cost).max())
+            low, high = (self._solve(sign * cost / size) for sign in (1.0, -1.0))
+            self._found[along] = (None if low is None or high is None
+                                  else (low * size, -high * size))
+        return self._found[along]
 
     def ratio_ends(self, above: Sequence[float], below: Sequence[float]
                    ) -> tuple[float, float] | None:
@@ -70,7 +75,7 @@ class Enclosure:
                              bounds=[(None, None)] * len(self._scale) + [(0.0, None)])
             if result.status != 0:
                 return None
-            found.append(sign * result.fun * size / unit)
+            found.append(float(sign * result.fun * size / unit))
         return found[0], found[1]
 
     def _solve(self, cost: np.ndarray) -> float | None:

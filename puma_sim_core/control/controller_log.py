@@ -95,6 +95,23 @@ class ControllerLog:
                        voltage=self.voltage[samples:])
 
 
+def lattice_step(values: np.ndarray) -> float:
+    """The step of which all differences of the values are multiples; 0.0 where there is none."""
+    levels = np.unique(values)
+    if len(levels) < 3:
+        return 0.0
+    gaps = np.diff(levels)
+    # levels that differ by rounding alone are one level
+    gaps = gaps[gaps > 1e-9 * (levels[-1] - levels[0])]
+    for part in range(1, 9):  # the least gap of a short record may be several steps
+        step = float(gaps.min()) / part
+        multiples = gaps / step
+        if np.abs(multiples - np.round(multiples)).max() < 1e-3:
+            span = float(levels[-1] - levels[0])
+            return span / round(span / step)
+    return 0.0
+
+
 def even_period(time, where: str) -> float:
     """The period [s] of evenly spaced times; raises RecordingError, which names the first gap."""
     steps = np.diff(time)

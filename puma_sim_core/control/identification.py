@@ -21,7 +21,7 @@ from scipy.special import chdtrc, ndtri
 
 from ..errors import ParameterError, RecordingError
 from .bounded_error import Enclosure, joint_rows
-from .controller_log import ControllerLog
+from .controller_log import ControllerLog, lattice_step
 from .least_squares import SINGULAR, RecursiveLeastSquares, sandwich, weights
 from .pid import FORMS
 
@@ -30,7 +30,7 @@ DERIVATIVES = ("auto", "error", "measurement")
 _SHORTEST = 8
 _MOST_STRETCHES = 200
 #: the linear programmes grow with each stretch's constant
-_MOST_ENCLOSED = 12
+_MOST_ENCLOSED = 6
 #: where the best PID leaves more than this share of the voltage's variance, it explains nothing
 _UNEXPLAINED = 0.5
 
@@ -76,8 +76,8 @@ class PidEstimate:
         they may not: where a slow voltage is rounded in the same way in each repetition of a
         motion, or moves by less than a step from sample to sample, they cover less often than they
         say (88 % in place of 95 % for a motion of 20 counts, and fewer still without dither).
-    coefficients : least squares (q0, q1, q2) [V/rad] of (q0 + q1 z^-1 + q2 z^-2)/(1 - z^-1), from w to u, and
-        coefficient_intervals. With the derivative of the measurement that is the path from less
+    coefficients : least squares (q0, q1, q2) [V/rad] of (q0 + q1 z^-1 + q2 z^-2)/(1 - z^-1), from
+        w to u, and coefficient_intervals. With the derivative of the measurement that is the path from less
         the measurement; from the setpoint it is (q0 - q2 + (q1 + 2 q2) z^-1)/(1 - z^-1).
     derivative : "error" or "measurement", "either" where the setpoint does not move.
     form : "positional" or "velocity", how Kg, Ti, Td follow from the same coefficients (see `pid`).
@@ -228,23 +228,6 @@ def compare_gains(first: PidEstimate, second: PidEstimate, *,
     return GainComparison(different, statistic, p_value, level, possible)
 
 
-def lattice_step(values: np.ndarray) -> float:
-    """The step of which all differences of the values are multiples; 0.0 where there is none."""
-    levels = np.unique(values)
-    if len(levels) < 3:
-        return 0.0
-    gaps = np.diff(levels)
-    # levels that differ by rounding alone are one level
-    gaps = gaps[gaps > 1e-9 * (levels[-1] - levels[0])]
-    for part in range(1, 9):  # the least gap of a short record may be several steps
-        step = float(gaps.min()) / part
-        multiples = gaps / step
-        if np.abs(multiples - np.round(multiples)).max() < 1e-3:
-            span = float(levels[-1] - levels[0])
-            return span / round(span / step)
-    return 0.0
-
-
 @dataclass(frozen=True)
 class _Fit:
     terms: np.ndarray
@@ -354,7 +337,8 @@ def _ratio(above: np.ndarray, below: np.ndarray, fit: _Fit, z: float) -> Interva
                   for a, b in ((above, above), (above, below), (below, below)))
     scale = d * d - dd
     middle = (n * d - nd) / scale
-    half = sqrt(max(middle ** 2 - (n * n - nn) / scale, 0.0))
+    # middle^2 - (n^2 - nn) / scale, without its differences of equal numbers
+    half = sqrt(max(nd * nd - 2.0 * n * d * nd + d * d * nn + n * n * dd - dd * nn, 0.0)) / scale
     return Interval(n / d, middle - half, middle + half)
 
 

@@ -70,8 +70,8 @@ def asymmetric_level(p, k, direction):
 @inlined
 def stribeck_level(p, k, speed):
     """Excess [N.m] over the sliding level at `speed` [rad/s]."""
-    if p[k] == 0.0:
-        return 0.0
+    if p[k] == 0.0 or speed == 0.0:
+        return p[k]
     ratio = speed / p[k + 1]
     ratio *= ratio
     return p[k] * exp(-ratio) if ratio < _NEGLIGIBLE_EXPONENT else 0.0

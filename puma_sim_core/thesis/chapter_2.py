@@ -82,15 +82,23 @@ def random_poses(arm: ArmParameters, rng: np.random.Generator, count: int) -> np
 
 
 def _millimetres(position) -> str:
-    return ", ".join(f"{1000.0 * each + 0.0:.2f}" for each in np.round(position, 9))
+    text = ", ".join(f"{1000.0 * each + 0.0:.2f}" for each in np.round(position, 9))
+    return text.replace("-", "\N{MINUS SIGN}")
+
+
+def _aligned(matrix: str) -> str:
+    """Rows of a matrix with its columns one below the other."""
+    rows = [row.split() for row in matrix.replace("-", "\N{MINUS SIGN}").split("\n")]
+    widths = [max(map(len, column)) for column in zip(*rows)]
+    return "\n".join(" ".join(f"{each:>{width}}" for each, width in zip(row, widths))
+                     for row in rows)
 
 
 def _matrix_rows(arm: ArmParameters, poses) -> list[Row]:
     rows = []
     for name, printed, correct, note in _MATRICES:
-        printed, correct = (text.replace("-", "\N{MINUS SIGN}")
-                            for text in (printed, correct or printed))
-        rows.append(Row(f"{name} (the first three rows)", "", printed, correct, note))
+        rows.append(Row(f"{name} (the first three rows)", "", _aligned(printed),
+                        _aligned(correct or printed), note))
     off = {d2: max(np.linalg.norm(printed_frame(q, arm, d2)[:3, 3]
                                   - forward_kinematics(q, arm)[:3, 3]) for q in poses)
            for d2 in (arm.d3, 0.0)}
@@ -138,9 +146,11 @@ def _sketch(arm: ArmParameters) -> Figure:
         corners = [np.zeros(3), frames[2][:3, 3], frames[3][:3, 3], wrist_position(q, arm)]
         x, _, z = np.array(corners).T
         curves.append(Curve(label, x, z, style))
-    return Figure("2.7", "Line sketch of the arm from the side", "x [m]", "z [m]", tuple(curves),
+    return Figure("figure 2.7", "Line sketch of the arm from the side", "x [m]", "z [m]",
+                  tuple(curves),
                   "Shoulder, elbow, wrist. The forearm stands a little behind the elbow: a3 is "
-                  "negative. The angles of the thesis's second pose are not in the text.")
+                  "negative. The angles of the thesis's second pose are not in the text.",
+                  equal=True)
 
 
 @experiment("2.4", "Validation of the kinematic equations at precision points", chapter="2.4")

@@ -154,12 +154,11 @@ def parameters(context: Context) -> Result:
                      for name, arm in arms.items())))
     context.progress(1.0)
     return Result(
-        f"{len(arms)} sets of parameters can be loaded, and all of them give a D + Ia that is "
-        "positive definite. Bejczy and Armstrong agree less well than the thesis says: a centre "
-        f"of mass of link 3 differs by {100.0 * worst[0]:.0f} %, masses and radii of gyration by "
-        f"{100.0 * radii[0]:.0f} % at most. Links without "
-        "products of inertia are not quite possible bodies: D alone is indefinite for some sets, "
-        "and only the motor inertias make the arm sound. Table 7.1 (tuned) cannot be used as "
+        f"All {len(arms)} sets of parameters give a D + Ia that is positive definite. Bejczy and "
+        "Armstrong agree less well than the thesis says: a centre of mass of link 3 differs by "
+        f"{100.0 * worst[0]:.0f} %, masses and radii of gyration by {100.0 * radii[0]:.0f} % at "
+        "most. Links without products of inertia are not quite possible bodies: D alone is "
+        "indefinite for some sets, and only the motor inertias make the arm sound. Table 7.1 (tuned) cannot be used as "
         "printed and stands here in a reading that fits the text.",
         tuple(rows), figures,
         {f"mass_kg_{name}": [link.mass for link in arm.links] for name, arm in arms.items()})
@@ -316,9 +315,9 @@ def numbers(context: Context) -> Result:
     context.progress(1.0)
     return Result(
         f"The printed numbers are those of Bejczy's parameters (table 4.2, rows 1, 2 and 3*), not "
-        f"of the average that the text announces. {by_set['bejczy']} of "
-        f"{len(_held_against(arm))} numbers follow from them within their rounding, from the "
-        f"average {by_set['average']}. {slips} places in five coefficients (D11, D22, C112, C113, "
+        f"of the average that the text announces. Of {len(_held_against(arm))} numbers "
+        f"{by_set['bejczy']} follow from them within their rounding, from the average "
+        f"{by_set['average']}. Besides, {slips} places in five coefficients (D11, D22, C112, C113, "
         "C122) are misprints that no parameters can give. The lengths and gravity that the text "
         "lacks follow from the numbers: a2 = 0.4318, a3 = -0.0191, d3 = 0.1505 m, 9.81 m/s^2.",
         tuple(rows), (sets, *_misprint_figures(arm)),

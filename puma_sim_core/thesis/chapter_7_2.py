@@ -84,7 +84,8 @@ def friction_of(arm, joint: int) -> dict[str, float]:
 def _plots(plant: Plant) -> tuple[Figure, Figure]:
     """Plots 7.1 and 7.2: a stop at each end of the range, so that the curves end there."""
     figures = []
-    for key, test, volts in (("7.1", TESTS[0], range(5, 45, 5)), ("7.2", TESTS[2], range(0, 45, 5))):
+    for key, test, volts in (("7.1", TESTS[0], range(5, 45, 5)),
+                             ("7.2", TESTS[2], range(0, 45, 5))):
         stopped = replace(plant, effects=(parse_effect(f"soft_stop:joint={test.joint}"),))
         simulator = one_joint(stopped, test.joint)
         low, high = plant.arm.joint_ranges[test.joint - 1]

@@ -122,6 +122,7 @@ def _lag(plant: Plant, joint: int, pose) -> float:
 def shoulder(context: Context) -> Result:
     """k2zz from joint 2 with the forearm folded."""
     c = _campaign(context.seed)
+    lag = _lag(c.nominal, 2, c.shoulder_records[0].start)
     fit, truth = c.shoulder, gyration(c.hidden(2), "k2zz")
     found = fit.of("k2zz")
     friction = fit.values[2], fit.values[3]
@@ -138,10 +139,10 @@ def shoulder(context: Context) -> Result:
         (Row("k2zz, where the estimator starts", "m^2", 0.1514, gyration(c.nominal, "k2zz")),
          *_rows("k2zz", "m^2", found, truth, 0.0031,
                 f"{OTHER_ARM} The print is no possible value: the square of the distance "
-                "of the mass centre from the axis alone is 0.108 m^2. The text says that k2zz was increased."),
+                "of the mass centre from the axis alone is 0.108 m^2. The text says that k2zz "
+                "was increased."),
          _fit_row(fit),
-         _gap_row(gap, "k2zz", f"The lag is {1e3 * _lag(c.nominal, 2, c.shoulder_records[0].start):.1f}"
-                               " ms for joint 2.")),
+         _gap_row(gap, "k2zz", f"The lag is {1e3 * lag:.1f} ms for joint 2.")),
         figures, _numbers("k2zz", found, truth) | {"greatest_gap_rad": gap})
 
 
@@ -173,8 +174,9 @@ def upright(context: Context) -> Result:
         c.upright_records[0], 1, with_friction(c.nominal, 1, *friction),
         with_friction(c.scaled(fit.values[0]), 1, *friction), ("7.10", "7.11"), "k1yy, k2xx, k3zz")
     missed = sum(not numbers[f"{name}_in_proportion_covered"] for name in SCALED)
-    rows += [_fit_row(fit), _gap_row(gap, "radii", f"The lag is {1e3 * _lag(c.nominal, 1, UPRIGHT):.1f}"
-                                     " ms for joint 1 upright.")]
+    lag = _lag(c.nominal, 1, UPRIGHT)
+    rows += [_fit_row(fit),
+             _gap_row(gap, "radii", f"The lag is {1e3 * lag:.1f} ms for joint 1 upright.")]
     context.progress(1.0)
     return Result(
         f"The sum m1 k1yy + m2 k2xx + m3 k3zz comes out as {total[0]:.4f} kg.m^2 ({total[1]:.4f} "
@@ -218,16 +220,17 @@ def remaining(context: Context) -> Result:
     worst = max(abs(inertia(np.array(q), tuned.arm)[0, 0] - inertia(np.array(q), hidden.arm)[0, 0])
                 for q in ((0.0, a, b) for a in np.linspace(-3.8, 0.7, 19)
                           for b in np.linspace(-0.9, 4.0, 21)))
+    lag = _lag(c.nominal, 1, HORIZONTAL)
     rows += [_fit_row(waist),
              Row("greatest error of D11 anywhere, from the three lumps", "kg.m^2", None,
                  float(worst), "With the sums right the model is right, whatever their parts."),
-             _gap_row(gap, "k2yy", f"The lag is {1e3 * _lag(c.nominal, 1, HORIZONTAL):.1f} ms for "
-                                   "joint 1 stretched.")]
+             _gap_row(gap, "k2yy", f"The lag is {1e3 * lag:.1f} ms for joint 1 stretched.")]
     context.progress(1.0)
     return Result(
         f"By the text's procedure k2yy comes out as {found[0]:.4f} m^2 where the truth is "
         f"{truth:.4f}: the pose does not separate it from k1yy and k3xx, and its interval "
-        f"{'holds by luck' if numbers['k2yy_covered'] else 'does not hold'}. Three poses of joint 1 give three sums of five radii, with "
+        f"{'holds by luck' if numbers['k2yy_covered'] else 'does not hold'}. Three poses "
+        "of joint 1 give three sums of five radii, with "
         "intervals that hold, and D11 in every pose; the five by themselves cannot be had from any "
         f"test on the arm. {HIDDEN}",
         tuple(rows), figures, numbers | {"greatest_gap_rad": gap})

@@ -153,8 +153,8 @@ def _causes(plant: Plant, measured: Plant, paths: dict[str, Path], numbers: dict
         volts = path.voltage[:int(0.2 / SERVO_PERIOD)].mean(axis=0)
         numbers[f"drop_{history.replace(' ', '_')}_rad"] = drop.tolist()
         rows.append(Row(
-            f"cause: arm at rest {history}, with {_volts(volts[1])} and {_volts(volts[2])} V; motion of "
-            f"joints 2 and 3 within {FIRST:g} s", "rad", "a drop of both at first",
+            f"cause: arm at rest {history}, with {_volts(volts[1])} and {_volts(volts[2])} V; "
+            f"motion of joints 2 and 3 within {FIRST:g} s", "rad", "a drop of both at first",
             f"{drop[1]:.4f} and {drop[2]:.4f}",
             "The brakes carry all of the load and the motors nothing: both joints of the model "
             "fall, held back by the back-EMF of its shorted motors alone." if history == BRAKES
@@ -232,7 +232,7 @@ def run(context: Context) -> Result:
         "dry friction leaves the voltage undetermined and the model may drop or rise "
         f"({drops['from above'][1]:.3f} and {drops['from above'][2]:.3f} rad when it came from "
         f"above, {drops['from below'][1]:.3f} and {drops['from below'][2]:.3f} from below); the "
-        "missing current of the start makes less than a thousandth. The measured side is a hidden arm with "
-        "friction near that measured by others. With its friction in the model the replay stays "
-        "close; without, joint 3 goes further than measured and not slower, as the text has it.",
+        "missing current of the start makes less than a thousandth. The measured side is a hidden "
+        "arm with friction near that measured by others. With its friction in the model the "
+        "replay stays close; without, joint 3 goes further than measured; the text has it slower.",
         tuple(rows), tuple(_figures(path, simulated, corrected)), numbers)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import io
 import re
+import textwrap
 
 import numpy as np
 
@@ -117,8 +118,8 @@ def svg(figure: Figure | Heatmap, prefix: str) -> str:
             _draw_map(canvas, axes, figure)
         else:
             _draw_curves(axes, figure)
-        axes.set_xlabel(_plain(figure.x_label))
-        axes.set_ylabel(_plain(figure.y_label))
+        axes.set_xlabel(_plain(figure.x_label, 56))
+        axes.set_ylabel(_plain(figure.y_label, 34))
         file = io.StringIO()
         canvas.savefig(file, format="svg", metadata={
             "Date": None, "Creator": None, "Format": None, "Type": None})
@@ -129,6 +130,8 @@ def _draw_curves(axes, figure: Figure) -> None:
     for curve, style in zip(figure.curves, styles(figure)):
         axes.plot(*thin(curve), **style)
     axes.margins(x=0.02)
+    if figure.equal:
+        axes.set_aspect("equal", adjustable="datalim")
     if figure.log_x:
         axes.set_xscale("log")
         _label_decades(axes.xaxis, axes.get_xlim())
@@ -154,12 +157,12 @@ def _draw_map(canvas, axes, figure: Heatmap) -> None:
     axes.grid(False)
     mesh = axes.pcolormesh(figure.x, figure.y, np.ma.masked_invalid(figure.values),
                            shading="nearest", cmap="viridis", rasterized=True)
-    canvas.colorbar(mesh, ax=axes, label=_plain(figure.value_label))
+    canvas.colorbar(mesh, ax=axes, label=_plain(figure.value_label, 34))
 
 
-def _plain(text: str) -> str:
-    """Dollar signs are letters here, not the start of a formula."""
-    return text.replace("$", r"\$")
+def _plain(text: str, width: int) -> str:
+    """Lines no longer than an axis; dollar signs are letters, not the start of a formula."""
+    return textwrap.fill(text, width).replace("$", r"\$")
 
 
 def _inline(text: str, figure: Figure | Heatmap, prefix: str) -> str:

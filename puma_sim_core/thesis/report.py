@@ -23,12 +23,13 @@ AGREEMENT = 0.01
 #: lists longer than this stand in the JSON alone
 _LIST = 6
 _TITLE = "The thesis, reproduced"
+_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 _HEAD = """<!DOCTYPE html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy" content="default-src 'none'; style-src 'unsafe-inline'; img-src data:">
+<meta http-equiv="Content-Security-Policy" content="{policy}">
 <link rel="icon" href="data:,">
 <title>{title}</title>
 <style>{css}</style>
@@ -51,7 +52,8 @@ def page(results: Mapping[str, tuple[Experiment, Result]], seed: int,
     ------
     ParameterError : matplotlib is missing.
     """
-    parts = [_HEAD.format(title=_TITLE, css=CSS), _opening(seed), _contents(results), "<main>\n"]
+    parts = [_HEAD.format(title=_TITLE, css=CSS, policy=_POLICY), _opening(),
+             _contents(results), "<main>\n"]
     for index, (found, result) in enumerate(results.values()):
         parts.append(_section(found, result))
         progress((index + 1) / len(results))
@@ -94,7 +96,7 @@ def number_text(value: Any) -> str:
     return text
 
 
-def _opening(seed: int) -> str:
+def _opening() -> str:
     return (
         f'<header id="top"><h1>{_TITLE}</h1>\n'
         "<p>Each experiment of chapters 2 to 8 of the thesis on the control of the PUMA 560, run "
@@ -148,8 +150,9 @@ def _table(rows: tuple[Row, ...], heads: tuple[str, ...] | None = None) -> str:
         if off is not None and heads is None:
             word = "differs" if off else "agrees"
             mark = f' <span class="mark {word}">{word}</span>'
-        cells = [(names[1], "value printed", _rich(number_text(row.printed))),
-                 (names[2], "value ours", _rich(number_text(row.ours)) + mark),
+        block = " block" if "\n" in f"{row.printed}{row.ours}" else ""
+        cells = [(names[1], f"value printed{block}", _rich(number_text(row.printed))),
+                 (names[2], f"value ours{block}", _rich(number_text(row.ours)) + mark),
                  ("", "note", _rich(row.note))]
         lines.append(f"<tr><th scope=\"row\">{_rich(row.quantity)}{unit}</th>" + "".join(
             f'<td class="{kind}"{f" data-name={chr(34)}{name}{chr(34)}" if name else ""}>'
@@ -161,8 +164,10 @@ def _table(rows: tuple[Row, ...], heads: tuple[str, ...] | None = None) -> str:
 
 
 def _figure(figure: Figure | Heatmap, prefix: str) -> str:
-    # a key that is no number of the thesis belongs to a drawing of our own
-    name = f"Plot {figure.key}" if re.fullmatch(r"\d+\.\d+[a-z]?", figure.key) else ""
+    # the thesis's plots are all in chapter 7; other keys belong to drawings of our own
+    name = f"Plot {figure.key}" if re.fullmatch(r"7\.\d+[a-z]?", figure.key) else ""
+    if figure.key.startswith("figure "):
+        name = figure.key.capitalize()
     title = f"{name}. {figure.title}" if name else figure.title
     legend = ""
     if isinstance(figure, Figure) and (len(figure.curves) > 1 or figure.curves[0].label):

@@ -67,7 +67,11 @@ class Curve:
 
 @dataclass(frozen=True)
 class Figure:
-    """A plot of curves. ``key`` is the thesis's plot number ("7.17") or a name of our own."""
+    """A plot of curves.
+
+    ``key`` is the thesis's plot number ("7.17"), its figure ("figure 2.7"), or a name of our own.
+    ``equal``: a metre across is as long as a metre up.
+    """
 
     key: str
     title: str
@@ -77,6 +81,7 @@ class Figure:
     note: str = ""
     log_x: bool = False
     log_y: bool = False
+    equal: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "curves", tuple(self.curves))

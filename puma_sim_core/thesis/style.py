@@ -8,7 +8,8 @@ CSS = """
 * { box-sizing: border-box; }
 html { -webkit-text-size-adjust: 100%; scroll-behavior: smooth; }
 body { margin: 0; color: var(--ink); background: #fff; line-height: 1.5;
-  font: 1rem/1.5 system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif; }
+  font: 1rem/1.5 system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial,
+    sans-serif; }
 main, header, nav, footer { max-width: 64rem; margin: 0 auto; padding: 0 1rem; }
 header { padding-top: 1.5rem; }
 h1 { font-size: 1.7rem; line-height: 1.2; margin: 0 0 .5rem; }
@@ -32,8 +33,12 @@ th, td { text-align: left; vertical-align: top; padding: .35rem .6rem .35rem 0;
 thead th { border-bottom: 1.5px solid var(--ink); font-size: .82rem; color: var(--soft); }
 tbody th { font-weight: 500; width: 27%; }
 td.value { font-variant-numeric: tabular-nums; width: 14%; white-space: pre-line; }
-table.words td.value { width: 22%; }
+table.words tbody th { width: 19%; }
+table.words td.value { width: 18%; }
+td.value.block { white-space: pre; overflow-x: auto; font-size: .92em;
+  font-family: ui-monospace, "SF Mono", "DejaVu Sans Mono", Menlo, Consolas, monospace; }
 td.note { color: var(--soft); }
+sup { font-size: .72em; line-height: 0; }
 .mark { font-size: .78rem; white-space: nowrap; font-weight: 600; display: block; }
 .mark.differs { color: var(--differs); }
 .mark.agrees { color: var(--agrees); }
@@ -67,7 +72,8 @@ footer { margin-top: 3rem; padding-bottom: 2rem; color: var(--soft); font-size: 
   tbody tr { display: grid; grid-template-columns: 1fr 1fr; column-gap: .8rem; padding: .5rem 0;
     border-bottom: 1px solid var(--line); }
   tbody th, td.note { grid-column: 1 / -1; }
-  td.ours { grid-column: 2; }
+  td.printed:empty + td.ours { grid-column: 1 / -1; }
+  td.value.block::before { display: block; font-family: system-ui, sans-serif; }
   table.words td { grid-column: 1 / -1; }
   th, td { border: 0; padding: .05rem 0; }
   tbody th { font-weight: 600; }
@@ -76,19 +82,21 @@ footer { margin-top: 3rem; padding-bottom: 2rem; color: var(--soft); font-size: 
   .mark { display: inline; margin-left: .4em; }
 }
 @media print {
-  @page { margin: 16mm 14mm; }
-  body { font-size: 9.5pt; }
+  @page { margin: 15mm 14mm; }
+  html { font-size: 8.8pt; }
+  body { line-height: 1.38; }
   main, header, nav, footer { max-width: none; padding: 0; }
   h1 { font-size: 17pt; }
-  h2 { font-size: 13pt; margin-top: 1.6rem; break-after: avoid; }
+  h2 { font-size: 12.5pt; margin-top: 2rem; break-after: avoid; }
   h3, caption, figcaption { break-after: avoid; }
   p { max-width: none; orphans: 3; widows: 3; }
   a { color: inherit; text-decoration: none; }
   thead { display: table-header-group; }
   tr, figure, nav li { break-inside: avoid; }
+  nav li { padding: .25rem 0; }
+  th, td { padding-top: .22rem; padding-bottom: .22rem; }
   .figures { grid-template-columns: 1fr 1fr; gap: 5mm 6mm; }
   .top, details { display: none; }
   footer { margin-top: 1rem; padding: 0; break-before: avoid; }
-  table { font-size: 8.5pt; }
 }
 """

@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""Computed torque: the inverse dynamics of the arm, in volts, with PID around it.
+
+With r, r', r'' from the setpoints (see `reference`) and e = r - q, e' = r' - v,
+
+``a = r'' + Kd e' + Kp e + Ki sum(e) h``
+``volts = (R / kT) [(D + Ia) a + C(q, v) + G(q)] + ke N w``
+
+at the measured positions q: as far as the model is right, each joint then moves by itself, like
+a mass that the PID terms hold with three poles at -bandwidth: Kp = 3 b^2, Ki = b^3, Kd = 3 b.
+While a voltage is at its limit, an error that would drive it further is not added to the sum.
+
+v is the difference of measured positions, through a filter of first order:
+``v(k) = v(k-1) + c [(q(k) - q(k-1)) / h - v(k-1)]``, c = 1 - exp(-h velocity_filter).
+
+The back-EMF is made up for at the measured velocity (w = v), which decouples the joints entirely,
+or at the reference's (w = r'), which leaves its damping to the motors: better where samples are
+so slow or late that the voltage would come after the motion. Then Kd is smaller by what the
+motors do by themselves, ke N kT / (R M) of each joint alone, where it is not more than all of it.
+
+The inductance is neglected: L/R is 3 ms, a delay of the torque.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import cos, exp, inf, isfinite, sin
+
+from ..backend import interpreted
+from ..errors import ParameterError
+from ..kernel import rigid_body
+from ..parameters import ArmParameters
+from ..plant import Plant
+from .reference import SetpointReference
+
+_rigid_body = interpreted(rigid_body)
+BACK_EMF = ("measured", "reference")
+_KEYS = ("bandwidth", "velocity_filter", "greatest_velocity", "greatest_acceleration", "lead",
+         "back_emf")
+
+
+class InverseDynamics:
+    """Voltages and torques that given accelerations need, with the inductance neglected.
+
+    model : an arm, or a plant, of which arm and torque form are used; its effects are not.
+    """
+
+    def __init__(self, model: ArmParameters | Plant):
+        plant = model if isinstance(model, Plant) else Plant(model)
+        # without the effects: a controller knows nothing of friction and loads
+        plain = Plant(plant.arm, (), plant.torque_form)
+        self._body = plain.constants.body
+        self._per_torque = tuple(m.resistance / kT for m, kT in
+                                 zip(plain.arm.motors, plain.torque_per_ampere))
+        self.back_emf = tuple(m.back_emf * m.gear_ratio for m in plain.arm.motors)
+
+    def terms(self, q, velocity):
+        """(M, bias): rows of D + Ia [kg.m^2], and C(q, v) + G(q) [N.m].
+
+        q (3,) [rad], velocity (3,) [rad/s].
+        """
+        u = q[1] + q[2]
+        m11, m12, m13, m22, m23, m33, b1, b2, b3 = _rigid_body(
+            *velocity, 0.0, 0.0, 0.0, (sin(q[1]), cos(q[1]), sin(u), cos(u)), self._body)
+        return ((m11, m12, m13), (m12, m22, m23), (m13, m23, m33)), (-b1, -b2, -b3)
+
+    def combined(self, mass, bias, acceleration, turning) -> tuple[float, float, float]:
+        """Volts from `terms`, accelerations (3,) [rad/s^2], and the velocities (3,) [rad/s] of
+        which the back-EMF is taken."""
+        a1, a2, a3 = acceleration
+        return tuple(k * (row[0] * a1 + row[1] * a2 + row[2] * a3 + b) + e * w
+                     for k, row, b, e, w in zip(self._per_torque, mass, bias, self.back_emf,
+                                                turning))
+
+    def voltages(self, q, velocity, acceleration) -> tuple[float, float, float]:
+        """Volts that a motion needs: q [rad], velocity [rad/s], acceleration [rad/s^2], (3,)."""
+        return self.combined(*self.terms(q, velocity), acceleration, velocity)
+
+    def own_damping(self, mass) -> tuple[float, float, float]:
+        """Damping [1/s] that the back-EMF gives each joint alone; mass : rows of D + Ia."""
+        return tuple(e / (k * mass[j][j])
+                     for j, (e, k) in enumerate(zip(self.back_emf, self._per_torque)))
+
+
+class ComputedTorque:
+    """Computed-torque control of the three joints; see the module.
+
+    Parameters
+    ----------
+    model : the arm as the controller knows it (see `InverseDynamics`).
+    period : h [s], the stated rate of `update`.
+    bandwidth : (3,) [rad/s], where the three poles of each joint are.
+    velocity_filter : [rad/s], inf for none.
+    greatest_velocity (3,) [rad/s], greatest_acceleration (3,) [rad/s^2], lead : of the
+        reference, see `reference`.
+    back_emf : "measured" or "reference".
+    setpoint_period : time between setpoints [s], a whole number of periods.
+    limit : greatest magnitude of a motor voltage [V].
+    amplifier_gain : motor volts per volt that `update` gives.
+
+    Raises
+    ------
+    ParameterError : names what cannot be.
+    """
+
+    def __init__(self, model: ArmParameters | Plant, period: float, *,
+                 bandwidth: Sequence[float], velocity_filter: float,
+                 greatest_velocity: Sequence[float], greatest_acceleration: Sequence[float],
+                 lead: float = 1.0, back_emf: str = "measured", setpoint_period: float = 0.028,
+                 limit: float = inf, amplifier_gain: float = 1.0):
+        where = "computed torque"
+        for name, value in (("period", period), ("limit", limit), ("amplifier_gain",
+                            amplifier_gain), ("velocity_filter", velocity_filter)):
+            if isinstance(value, (bool, str)) or not value > 0.0 \
+                    or (value == inf and name in ("period", "amplifier_gain")):
+                raise ParameterError(f"{name} = {value!r}", where=where,
+                                     expected="a positive number")
+        bandwidth = tuple(bandwidth)
+        if len(bandwidth) != 3 or not all(isfinite(b) and b > 0.0 for b in bandwidth):
+            raise ParameterError(f"bandwidth = {list(bandwidth)!r}", where=where,
+                                 expected="three positive numbers")
+        if back_emf not in BACK_EMF:
+            raise ParameterError(f"back_emf '{back_emf}'", where=where,
+                                 expected=" or ".join(BACK_EMF))
+        samples = round(setpoint_period / period)
+        if samples < 1 or abs(samples * period - setpoint_period) > 1e-9 * setpoint_period:
+            raise ParameterError(f"period = {period!r} s", where=where,
+                                 expected=f"a whole part of {setpoint_period!r} s")
+        self.period = float(period)
+        self.limit = float(limit)
+        self.dynamics = InverseDynamics(model)
+        self.reference = SetpointReference(samples, setpoint_period, greatest_velocity,
+                                           greatest_acceleration, lead)
+        self._bandwidth = tuple(float(b) for b in bandwidth)
+        self._measured = back_emf == "measured"
+        self._filter = 1.0 - exp(-self.period * velocity_filter)
+        self._amplifier = float(amplifier_gain)
+        self.reset()
+
+    @classmethod
+    def from_settings(cls, model: ArmParameters | Plant, settings: Mapping, period: float,
+                      **others) -> ComputedTorque:
+        """From a mapping with the six settings; raises ParameterError on others."""
+        if not isinstance(settings, Mapping) or set(settings) != set(_KEYS):
+            found = ", ".join(map(str, settings)) if isinstance(settings, Mapping) else settings
+            raise ParameterError(f"keys {found}", where="computed torque",
+                                 expected=", ".join(_KEYS))
+        try:
+            return cls(model, period, **settings, **others)
+        except TypeError as error:
+            raise ParameterError(str(error), where="computed torque",
+                                 expected="numbers") from None
+
+    def reset(self) -> None:
+        """Forget the past: no sum, at rest at the next sample."""
+        self.reference.reset()
+        self._sum = [0.0, 0.0, 0.0]
+        self._before: tuple[float, ...] | None = None
+        self._velocity = (0.0, 0.0, 0.0)
+
+    def update(self, t: float, setpoint: Sequence[float],
+               measurement: Sequence[float]) -> tuple[float, float, float]:
+        """Volts for one sample at time t [s]; setpoint and measurement (3,) [rad]."""
+        if len(setpoint) != 3 or len(measurement) != 3:
+            raise ParameterError(f"{len(setpoint)} setpoints and {len(measurement)} measurements",
+                                 where="computed torque", expected="3 of each")
+        q = tuple(float(y) for y in measurement)
+        h, c = self.period, self._filter
+        before = q if self._before is None else self._before
+        self._velocity = v = tuple(w + c * ((new - old) / h - w)
+                                   for w, new, old in zip(self._velocity, q, before))
+        self._before = q
+        wanted = self.reference.update(setpoint, q)
+        mass, bias = self.dynamics.terms(q, v)
+        damped = ((0.0, 0.0, 0.0) if self._measured else self.dynamics.own_damping(mass))
+        acceleration, sums = [], []
+        for j, (r, rd, rdd) in enumerate(wanted):
+            b, e = self._bandwidth[j], r - q[j]
+            sums.append(self._sum[j] + h * e)
+            acceleration.append(rdd + max(3.0 * b - damped[j], 0.0) * (rd - v[j])
+                                + b * b * (3.0 * e + b * sums[j]))
+        turning = v if self._measured else tuple(rd for _, rd, _ in wanted)
+        volts = self.dynamics.combined(mass, bias, acceleration, turning)
+        for j, (r, _, _) in enumerate(wanted):
+            if abs(volts[j]) <= self.limit or (r - q[j]) * volts[j] < 0.0:
+                self._sum[j] = sums[j]
+        limit = self.limit
+        return tuple(min(max(u, -limit), limit) / self._amplifier for u in volts)

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""Position, velocity and acceleration that a controller can follow, from setpoints as they come.
+
+Setpoints come one each 28 ms and are not known in advance. Three stages make a path of them:
+
+1. Bounds. Each setpoint is followed as fast as a greatest velocity and acceleration allow, and
+   exactly where it stays within them; a step becomes a fast move that brakes in time.
+2. A quadratic B-spline through three successive points p0, p1, p2 that are T apart, u = 0 to 1
+   in each period: ``r = [(1 - u)^2 p0 + (1 + 2u - 2u^2) p1 + u^2 p2] / 2``, whose velocity is
+   continuous and whose acceleration is the second difference over T^2. It is 1.5 T late.
+3. Lead. ``r + c r' + c^2/2 r''`` and ``r' + c r''`` with c = 1.5 T make up for that: a path of
+   constant acceleration is followed without delay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import copysign, isfinite, sqrt
+
+from ..errors import ParameterError
+
+#: delay of the spline in periods of the setpoints
+_LATE = 1.5
+
+
+class SetpointReference:
+    """The reference of three joints, sample by sample.
+
+    Parameters
+    ----------
+    samples : samples in each period of the setpoints; setpoint_period : that period, T [s].
+    velocity (3,) [rad/s], acceleration (3,) [rad/s^2] : the bounds, positive.
+    lead : share of the delay that is made up for, 0 to 1.
+
+    Raises
+    ------
+    ParameterError : a number that is out of its bounds.
+    """
+
+    def __init__(self, samples: int, setpoint_period: float, velocity: Sequence[float],
+                 acceleration: Sequence[float], lead: float = 1.0):
+        if not (isfinite(setpoint_period) and setpoint_period > 0.0) or samples < 1:
+            raise ParameterError(f"{samples!r} samples in {setpoint_period!r} s",
+                                 where="setpoint reference", expected="positive numbers")
+        if not 0.0 <= lead <= 1.0:
+            raise ParameterError(f"lead {lead!r}", where="setpoint reference", expected="0 to 1")
+        for name, values in (("velocity", velocity), ("acceleration", acceleration)):
+            if len(values) != 3 or not all(isfinite(v) and v > 0.0 for v in values):
+                raise ParameterError(f"greatest {name} {list(values)!r}",
+                                     where="setpoint reference", expected="three positive numbers")
+        self._samples = samples
+        self._T = float(setpoint_period)
+        self._joints = [_Bounded(self._T, float(v), float(a))
+                        for v, a in zip(velocity, acceleration)]
+        self._lead = lead * _LATE * self._T
+        self._k: int | None = None
+
+    def reset(self) -> None:
+        """Forget the past: the next sample starts at rest where the arm is."""
+        self._k = None
+
+    def update(self, setpoint: Sequence[float], measurement: Sequence[float]
+               ) -> list[tuple[float, float, float]]:
+        """(position [rad], velocity [rad/s], acceleration [rad/s^2]) of each joint at a sample.
+
+        setpoint, measurement : (3,) [rad]; the setpoint is taken at the first sample of its
+        period, the measurement at the first of all.
+        """
+        if self._k is None:
+            self._k = 0
+            for joint, y in zip(self._joints, measurement):
+                joint.start(float(y))
+        if self._k == 0:
+            for joint, r in zip(self._joints, setpoint):
+                joint.take(float(r))
+        u = self._k / self._samples
+        self._k = (self._k + 1) % self._samples
+        return [self._spline(joint.points, u) for joint in self._joints]
+
+    def _spline(self, points, u):
+        p0, p1, p2 = points
+        T, c = self._T, self._lead
+        first, second = p1 - p0, p2 - p1
+        velocity = ((1.0 - u) * first + u * second) / T
+        acceleration = (second - first) / (T * T)
+        # the polynomial in a form that gives p0 exactly where all three are equal
+        position = p0 + 0.5 * (first * (1.0 + u * (2.0 - u)) + second * u * u)
+        return (position + c * velocity + 0.5 * c * c * acceleration,
+                velocity + c * acceleration, acceleration)
+
+
+class _Bounded:
+    """Setpoints of one joint with bounded velocity V and acceleration A, a point each T."""
+
+    def __init__(self, T: float, V: float, A: float):
+        self._T, self._V, self._A = T, V, A
+
+    def start(self, q: float) -> None:
+        self.points = (q, q, q)
+        self._velocity = 0.0
+        self._target = q
+
+    def take(self, target: float) -> None:
+        T, V, A = self._T, self._V, self._A
+        ahead = min(max((target - self._target) / T, -V), V)
+        self._target = target
+        p = self.points[2]
+        # what is left when we move along with the setpoint, and the speed from which that is
+        # enough to brake in steps of A T
+        rest = target - p - ahead * T
+        braking = A * T * (sqrt(0.25 + 2.0 * abs(rest) / (A * T * T)) - 0.5)
+        wanted = ahead + copysign(min(abs(rest) / T, braking), rest)
+        wanted = min(max(wanted, self._velocity - A * T), self._velocity + A * T)
+        wanted = min(max(wanted, -V), V)
+        at_target = abs(target - p - wanted * T) <= 1e-12 * (1.0 + abs(target))
+        after = target if at_target else p + wanted * T
+        self._velocity = wanted
+        self.points = (self.points[1], p, after)

@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""PID control whose gains follow the pose: tables over q2 and q3, interpolated linearly.
+
+Section 7.8 concludes that the PUMA's own controllers do this. D, C and G depend on q2 and q3
+alone, and so do the tables. Between their points the gains are interpolated linearly in both
+angles; beyond their edges the gains of the edge hold.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import inf, isfinite
+
+import numpy as np
+
+from ..backend import interpreted
+from ..errors import ParameterError
+from .pid import PidGains, pid_law
+
+_law = interpreted(pid_law)
+_NAMES = ("gain", "integral_time", "derivative_time")
+_KEYS = ("q2", "q3", *_NAMES)
+
+
+@dataclass(frozen=True)
+class GainSchedule:
+    """Gains of the three joints as functions of q2 and q3.
+
+    Parameters
+    ----------
+    q2, q3 : the angles of the tables [rad], increasing, two at least of each.
+    gain [V/rad], integral_time [s] (inf: no integral action), derivative_time [s] : one entry a
+        joint, each a number that holds everywhere or a table with a row for each q2 and a column
+        for each q3.
+
+    Raises
+    ------
+    ParameterError : names the entry and what was expected.
+    """
+
+    q2: tuple[float, ...]
+    q3: tuple[float, ...]
+    gain: tuple
+    integral_time: tuple
+    derivative_time: tuple
+
+    def __post_init__(self):
+        for name in ("q2", "q3"):
+            object.__setattr__(self, name, _angles(getattr(self, name), name))
+        shape = (len(self.q2), len(self.q3))
+        for name in _NAMES:
+            entries = getattr(self, name)
+            if isinstance(entries, str) or not isinstance(entries, Sequence) or len(entries) != 3:
+                raise ParameterError(f"{name} = {entries!r}", where="gain schedule",
+                                     expected="three entries, one for each joint")
+            object.__setattr__(self, name, tuple(
+                _entry(entry, f"{name} of joint {j}", shape)
+                for j, entry in enumerate(entries, 1)))
+        for j in range(3):
+            # PidGains refuses what no controller can have
+            for values in zip(*(np.broadcast_to(getattr(self, name)[j], shape).ravel().tolist()
+                                for name in _NAMES)):
+                if not PidGains(*values).gain > 0.0:
+                    raise ParameterError(f"gain of joint {j + 1} = {values[0]!r}",
+                                         where="gain schedule", expected="positive numbers")
+
+    def at(self, q2: float, q3: float) -> tuple[tuple[float, float, float], ...]:
+        """(gain, integral_time, derivative_time) of each joint at a pose [rad]."""
+        i, a = _place(self.q2, q2)
+        k, b = _place(self.q3, q3)
+
+        def value(entry):
+            if type(entry) is float:
+                return entry
+            low, high = entry[i], entry[i + 1]
+            left = low[k] + b * (low[k + 1] - low[k])
+            return left + a * (high[k] + b * (high[k + 1] - high[k]) - left)
+
+        return tuple((value(g), value(ti), value(td)) for g, ti, td in
+                     zip(self.gain, self.integral_time, self.derivative_time))
+
+    def to_mapping(self) -> dict:
+        """Plain values for a file."""
+        def plain(entry):
+            return entry if type(entry) is float else [list(row) for row in entry]
+        return {"q2": list(self.q2), "q3": list(self.q3),
+                **{name: [plain(entry) for entry in getattr(self, name)] for name in _NAMES}}
+
+    @classmethod
+    def from_mapping(cls, mapping: Mapping) -> GainSchedule:
+        """The inverse of `to_mapping`; raises ParameterError."""
+        if not isinstance(mapping, Mapping) or set(mapping) != set(_KEYS):
+            found = ", ".join(map(str, mapping)) if isinstance(mapping, Mapping) else repr(mapping)
+            raise ParameterError(f"keys {found}", where="gain schedule",
+                                 expected=", ".join(_KEYS))
+        return cls(**mapping)
+
+
+def _angles(values, name: str) -> tuple[float, ...]:
+    try:
+        angles = tuple(float(value) for value in values)
+    except (TypeError, ValueError):
+        angles = ()
+    if len(angles) < 2 or not all(map(isfinite, angles)) \
+            or any(b <= a for a, b in zip(angles, angles[1:])):
+        raise ParameterError(f"{name} = {values!r}", where="gain schedule",
+                             expected="increasing angles [rad], two at least")
+    return angles
+
+
+def _entry(entry, what: str, shape):
+    try:
+        values = np.array(entry, dtype=float)
+    except (TypeError, ValueError):
+        values = np.empty(0)
+    if values.shape == () and not isinstance(entry, (bool, str)):
+        return float(entry)
+    if values.shape != shape or not np.isfinite(values).all():
+        raise ParameterError(f"{what} = {entry!r}"[:200], where="gain schedule",
+                             expected=f"a number, or {shape[0]} rows of {shape[1]} numbers")
+    return tuple(tuple(row) for row in values.tolist())
+
+
+def _place(angles, q: float) -> tuple[int, float]:
+    """The interval of the table that q [rad] lies in, and the share of it, 0 to 1."""
+    i = min(max(bisect_right(angles, q) - 1, 0), len(angles) - 2)
+    return i, min(max((q - angles[i]) / (angles[i + 1] - angles[i]), 0.0), 1.0)
+
+
+class ScheduledPid:
+    """Independent PID control with scheduled gains; the law is that of `pid.Pid`.
+
+    The sum of the integral action is kept in volts, so that a change of the gain moves nothing by
+    itself. With the same gains everywhere it gives the same bits as `pid.Pid`.
+
+    Parameters
+    ----------
+    schedule : the gains.
+    period : h [s], the stated rate of `update`.
+    limit : greatest magnitude of the output [V].
+    on_measurement : take the derivative of the measurement, not of the error.
+
+    Raises
+    ------
+    ParameterError : a period or limit that is not positive.
+    """
+
+    def __init__(self, schedule: GainSchedule, period: float, *, limit: float = inf,
+                 on_measurement: bool = True):
+        if not (isfinite(period) and period > 0.0):
+            raise ParameterError(f"period = {period!r}", where="scheduled PID",
+                                 expected="seconds, positive")
+        if not limit > 0.0:
+            raise ParameterError(f"limit = {limit!r}", where="scheduled PID",
+                                 expected="volts, positive")
+        self.schedule = schedule
+        self.period = float(period)
+        self.limit = float(limit)
+        self.on_measurement = bool(on_measurement)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the past: no sum, and no derivative at the next sample."""
+        self._total = [0.0, 0.0, 0.0]
+        self._gain: list[float] | None = None
+        self._before: list[float] | None = None
+
+    def update(self, t: float, setpoint: Sequence[float],
+               measurement: Sequence[float]) -> tuple[float, float, float]:
+        """Volts for one sample at time t [s]; setpoint and measurement (3,) [rad].
+
+        Raises
+        ------
+        ParameterError : wrong number of joints.
+        """
+        if len(setpoint) != 3 or len(measurement) != 3:
+            raise ParameterError(f"{len(setpoint)} setpoints and {len(measurement)} measurements",
+                                 where="scheduled PID", expected="3 of each")
+        gains = self.schedule.at(float(measurement[1]), float(measurement[2]))
+        if self._gain is None:
+            self._gain = [g[0] for g in gains]
+        error = [float(r) - float(y) for r, y in zip(setpoint, measurement)]
+        now = [-float(y) for y in measurement] if self.on_measurement else error
+        before = now if self._before is None else self._before
+        volts = []
+        for j, (gain, integral_time, derivative_time) in enumerate(gains):
+            self._total[j] *= self._gain[j] / gain
+            self._gain[j] = gain
+            u, self._total[j] = _law(error[j], now[j], before[j], self._total[j], gain,
+                                     self.period / integral_time, derivative_time / self.period,
+                                     self.limit)
+            volts.append(u)
+        self._before = now
+        return tuple(volts)
