@@ -99,6 +99,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     assert worst > 0.4
 
 
+@compiled_only
 def test_estimates_are_the_same_when_repeated():
     first, second = Campaign(Context(5)).elbow, Campaign(Context(5)).elbow
     assert first.values.tobytes() == second.values.tobytes()

@@ -6,9 +6,11 @@ from __future__ import annotations
 
 import html
 import json
+import os
 import re
 import shutil
 import subprocess
+import sys
 from html.parser import HTMLParser
 
 import numpy as np
@@ -19,11 +21,11 @@ from puma_sim_core.thesis import registry
 from puma_sim_core.thesis.drawing import POINTS, styles, thin
 from puma_sim_core.thesis.json_file import json_text
 from puma_sim_core.thesis.registry import Context, Experiment, experiments, find
-from puma_sim_core.thesis.report import differs, first_sentence, number_text, page
+from puma_sim_core.thesis.report import first_sentence, number_text, page
 from puma_sim_core.thesis.result import Curve, Figure, Heatmap, Result, Row
 from puma_sim_core.thesis.runner import run
 
-from cli_support import call, puma_sim
+from cli_support import ROOT, call, puma_sim
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome",
                                                 "chrome"))), None)
@@ -281,7 +283,8 @@ def test_numbers_read_well(value, text):
     (7.5, 7.564, False), (7.5, 3.553, True), (None, 1.0, None), ("few", 1.0, None), (0, 0.0, False),
     (0.0, 1e-3, True)])
 def test_differs(printed, ours, expected):
-    assert differs(Row("q", "", printed, ours)) is expected
+    assert Row("q", "", printed, ours).differs is expected
+    assert Row("q", "", printed, ours, agrees=True).differs is False
 
 
 def test_first_sentence():
@@ -291,7 +294,7 @@ def test_first_sentence():
 @pytest.mark.parametrize("number", QUICK)
 def test_a_row_that_differs_says_why(quick_results, number):
     for each in quick_results[number][1].rows:
-        assert not differs(each) or each.note, each.quantity
+        assert not each.differs or each.note, each.quantity
 
 
 # ----------------------------------------------------------------------------------------- command
@@ -410,3 +413,29 @@ def test_browser_draws_every_figure_of_the_experiments(tmp_path, quick_results):
     assert browse(path, tmp_path, "--dump-dom")[1] == []
     assert browse(path, tmp_path, f"--print-to-pdf={tmp_path / 'thesis.pdf'}")[1] == []
     assert (tmp_path / "thesis.pdf").read_bytes().startswith(b"%PDF")
+
+
+# ---------------------------------------------------------------------------------- all of them
+
+
+@pytest.mark.timeout(900)
+def test_all_experiments_give_one_page_and_the_same_json_twice(tmp_path):
+    for name, jobs in (("a", "2"), ("b", "1")):
+        done = subprocess.run(
+            [sys.executable, "-m", "puma_sim_core", "thesis", "--all", "--out", tmp_path / name,
+             "--jobs", jobs], capture_output=True, text=True, timeout=400,
+            env={**os.environ, "PYTHONPATH": str(ROOT)})
+        assert (done.returncode, done.stderr) == (0, "")
+    first, second = ((tmp_path / name / "thesis.json").read_text("utf-8") for name in "ab")
+    assert first == second
+    found = json.loads(first)["experiments"]
+    assert [each["number"] for each in found] == list(experiments())
+    unexplained = [(each["number"], row["quantity"]) for each in found for row in each["rows"]
+                   if row["agrees"] is False and not row["note"]]
+    assert unexplained == []
+    text = (tmp_path / "a" / "thesis.html").read_text("utf-8")
+    outline = outline_of(text)
+    assert len(outline.identifiers) == len(set(outline.identifiers))
+    if CHROMIUM is not None:
+        check_drawn(text, tmp_path)
+        assert browse(tmp_path / "a" / "thesis.html", tmp_path, "--dump-dom")[1] == []

@@ -17,6 +17,8 @@ from scipy.optimize import linprog
 
 #: share of the half step that a sample may be off by: rounding of the record's own numbers
 _SLACK = 1e-4
+#: few unknowns and thousands of rows: looking for rows to leave out takes longer than solving
+_OPTIONS = {"presolve": False}
 
 
 class Enclosure:
@@ -71,7 +73,7 @@ class Enclosure:
                              b_ub=np.zeros(len(self._limits)),
                              A_eq=np.append(np.asarray(below, dtype=float) / self._scale,
                                             0.0)[None, :],
-                             b_eq=[unit], method="highs",
+                             b_eq=[unit], method="highs", options=_OPTIONS,
                              bounds=[(None, None)] * len(self._scale) + [(0.0, None)])
             if result.status != 0:
                 return None
@@ -80,7 +82,8 @@ class Enclosure:
 
     def _solve(self, cost: np.ndarray) -> float | None:
         result = linprog(cost, A_ub=self._sides, b_ub=self._limits,
-                         bounds=[(None, None)] * len(self._scale), method="highs")
+                         bounds=[(None, None)] * len(self._scale), method="highs",
+                         options=_OPTIONS)
         return float(result.fun) if result.status == 0 else None
 
 

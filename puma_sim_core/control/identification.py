@@ -77,8 +77,9 @@ class PidEstimate:
         motion, or moves by less than a step from sample to sample, they cover less often than they
         say (88 % in place of 95 % for a motion of 20 counts, and fewer still without dither).
     coefficients : least squares (q0, q1, q2) [V/rad] of (q0 + q1 z^-1 + q2 z^-2)/(1 - z^-1), from
-        w to u, and coefficient_intervals. With the derivative of the measurement that is the path from less
-        the measurement; from the setpoint it is (q0 - q2 + (q1 + 2 q2) z^-1)/(1 - z^-1).
+        the error to u, and coefficient_intervals. With the derivative of the measurement it is the
+        path from less the measurement; that from the setpoint is then
+        (q0 - q2 + (q1 + 2 q2) z^-1)/(1 - z^-1), and none is from the error alone.
     derivative : "error" or "measurement", "either" where the setpoint does not move.
     form : "positional" or "velocity", how Kg, Ti, Td follow from the same coefficients (see `pid`).
     terms, covariance : (3,) p, s, d [V/rad] and their (3, 3) covariance.

@@ -338,9 +338,9 @@ def run(context: Context) -> Result:
     return Result(
         "The quoted PID values do not follow from equations 7.9 and 7.10, with any signs; on "
         "records whose gains are known, least squares finds them again. "
-        "Kg is the difference of coefficients some forty times larger, and Ti comes from a sum four "
-        "orders smaller than they are, so that the small bias which 12-bit voltages bring into a "
-        "free denominator is "
+        "Kg is the difference of coefficients some forty times larger, and Ti comes from a sum "
+        "four orders smaller than they are, so that the small bias which 12-bit voltages bring "
+        "into a free denominator is "
         f"{_off(numbers, 'free', 0):.2g} % of Kg and {_off(numbers, 'free', 1):.2g} % of Ti; with "
         "instruments, or better with the denominator 1 - z^-1 known, it is gone, and one record of "
         "4096 samples gives all three gains within 0.2 %. Rounding to 12 bits does not explain the "

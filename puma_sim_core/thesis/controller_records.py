@@ -86,7 +86,7 @@ class Maker:
 
 
 def repeated(arm, motion: Motion, stroke: float, rows: int, period: float = 0.028) -> np.ndarray:
-    """(rows, 3) setpoints [rad] of a straight stroke of `stroke` seconds, to and fro without end."""
+    """(rows, 3) setpoints [rad] of a straight stroke of `stroke` seconds, to and fro."""
     origin = wrist_position(np.array(motion.start), arm)
     share = np.arange(rows) * period / stroke
     whole = np.floor(share)

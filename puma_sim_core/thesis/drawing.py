@@ -92,6 +92,9 @@ def _style(curve: Curve, index: int) -> dict:
         style["linestyle"] = (0, (4, 2))
     elif curve.style == "points":
         style.update(linestyle="none", marker="osD^v"[index % 5])
+        if curve.x.size > 60:
+            # a measured curve; large marks would run into a band
+            style.update(markersize=1.8, markeredgewidth=0.0)
     elif curve.style == "steps":
         style["drawstyle"] = "steps-post"
     if curve.x.size == 1:
@@ -162,7 +165,8 @@ def _draw_map(canvas, axes, figure: Heatmap) -> None:
 
 def _plain(text: str, width: int) -> str:
     """Lines no longer than an axis; dollar signs are letters, not the start of a formula."""
-    return textwrap.fill(text, width).replace("$", r"\$")
+    raised = re.sub(r"\^(-?[0-9]+)", lambda m: m[1].translate(_RAISED), text)
+    return textwrap.fill(raised, width).replace("$", r"\$")
 
 
 def _inline(text: str, figure: Figure | Heatmap, prefix: str) -> str:

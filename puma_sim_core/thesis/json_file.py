@@ -11,7 +11,7 @@ from typing import Any, Mapping
 from .. import __version__
 from .drawing import thin
 from .registry import Experiment
-from .result import Figure, Heatmap, Result
+from .result import Figure, Heatmap, Result, Row
 
 #: raised when the layout of the file changes
 FORMAT = 1
@@ -27,11 +27,17 @@ def json_text(results: Mapping[str, tuple[Experiment, Result]], seed: int) -> st
         "format": FORMAT, "version": __version__, "seed": seed,
         "experiments": [{"number": found.number, "chapter": found.chapter, "title": found.title,
                          "summary": result.summary,
-                         "rows": [vars(row) for row in result.rows],
+                         "rows": [_row(row) for row in result.rows],
                          "figures": [_figure(figure) for figure in result.figures],
                          "numbers": dict(result.numbers)}
                         for found, result in results.values()]}
     return _text(content, "") + "\n"
+
+
+def _row(row: Row) -> dict[str, Any]:
+    differs = row.differs
+    return {"quantity": row.quantity, "unit": row.unit, "printed": row.printed, "ours": row.ours,
+            "note": row.note, "agrees": None if differs is None else not differs}
 
 
 def _figure(figure: Figure | Heatmap) -> dict[str, Any]:

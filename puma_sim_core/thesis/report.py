@@ -18,8 +18,6 @@ from .registry import Experiment
 from .result import Figure, Heatmap, Result, Row
 from .style import CSS
 
-#: a row agrees with the print when the two differ by no more than this share
-AGREEMENT = 0.01
 #: lists longer than this stand in the JSON alone
 _LIST = 6
 _TITLE = "The thesis, reproduced"
@@ -64,17 +62,6 @@ def page(results: Mapping[str, tuple[Experiment, Result]], seed: int,
     return "".join(parts)
 
 
-def differs(row: Row) -> bool | None:
-    """Whether a row's number is off the printed one by more than a hundredth.
-
-    None where the two are not both numbers, so that only a reader can tell.
-    """
-    if not _is_number(row.printed) or not _is_number(row.ours):
-        return None
-    greatest = max(abs(row.printed), abs(row.ours))
-    return abs(row.printed - row.ours) > AGREEMENT * greatest
-
-
 def first_sentence(text: str) -> str:
     """The first sentence of a summary, for lists of contents."""
     return re.split(r"(?<=[.!?])\s+(?=[A-Z])", " ".join(text.split()), maxsplit=1)[0]
@@ -104,7 +91,7 @@ def _opening() -> str:
         "it stands beside ours; where the two differ, a sentence says why, as far as is known. "
         "Nothing was fitted to the print, and nothing that does not reproduce was left out.</p>\n"
         '<p>A row is marked <span class="mark agrees" style="display:inline">agrees</span> when '
-        "the numbers are within 1 % of each other, and "
+        "the numbers are within 1 % of each other (in section 4.5: within the digits printed), and "
         '<span class="mark differs" style="display:inline">differs</span> when they are not. An '
         "empty cell means that the thesis prints no number there.</p></header>\n")
 
@@ -146,7 +133,7 @@ def _table(rows: tuple[Row, ...], heads: tuple[str, ...] | None = None) -> str:
     lines = []
     for row in rows:
         unit = f"\N{NO-BREAK SPACE}[{_rich(row.unit)}]" if row.unit not in ("", "1") else ""
-        mark, off = "", differs(row)
+        mark, off = "", row.differs
         if off is not None and heads is None:
             word = "differs" if off else "agrees"
             mark = f' <span class="mark {word}">{word}</span>'

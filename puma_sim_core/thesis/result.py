@@ -11,6 +11,8 @@ from typing import Any, Mapping
 import numpy as np
 
 STYLES = ("line", "dashed", "points", "steps")
+#: a row agrees with the print when the two differ by no more than this share
+AGREEMENT = 0.01
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,7 @@ class Row:
     printed : the thesis's number or words; None where it prints nothing.
     ours : this project's number or words.
     note : plain sentence where the two differ, and why.
+    agrees : whether the two agree; None leaves it to :attr:`differs`.
     """
 
     quantity: str
@@ -31,11 +34,25 @@ class Row:
     printed: float | str | None
     ours: float | str
     note: str = ""
+    agrees: bool | None = None
 
     def __post_init__(self) -> None:
         for name in ("printed", "ours"):
             value = _plain(getattr(self, name), f"row {self.quantity!r}, {name}")
             object.__setattr__(self, name, value)
+
+    @property
+    def differs(self) -> bool | None:
+        """Whether ours is off the printed number by more than a hundredth.
+
+        None where the two are not both numbers, so that only a reader can tell.
+        """
+        if self.agrees is not None:
+            return not self.agrees
+        if not _is_number(self.printed) or not _is_number(self.ours):
+            return None
+        greatest = max(abs(self.printed), abs(self.ours))
+        return abs(self.printed - self.ours) > AGREEMENT * greatest
 
 
 @dataclass(frozen=True)
@@ -143,6 +160,10 @@ class Result:
             object.__setattr__(self, name, tuple(getattr(self, name)))
         object.__setattr__(self, "numbers", {
             str(name): _plain(value, f"number {name!r}") for name, value in self.numbers.items()})
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
 def _plain(value: Any, where: str) -> Any:

@@ -73,7 +73,7 @@ def _run_in_processes(chosen, seed, jobs, progress):
                 found[index] = result
             running = [numbers[i] for i, share in enumerate(shares)
                        if share > 0.0 and i not in found]
-            progress(", ".join(running),
+            progress(", ".join(running) or "starting",
                      sum(1.0 if i in found else share for i, share in enumerate(shares))
                      / len(chosen))
     finally:
