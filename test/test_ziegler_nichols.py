@@ -13,6 +13,7 @@ from arm_reference import plant_of
 from cli_support import call
 from scipy.integrate import solve_ivp
 
+from puma_sim_core.backend import BACKEND
 from puma_sim_core.control.linear import (is_linear, least_damped, linearised, pid_loop,
                                           proportional_loop, radius, sampled)
 from puma_sim_core.control.pid import PidGains
@@ -62,6 +63,11 @@ def random_loops(count):
     return loops
 
 
+#: the plain Python kernel takes minutes for all of it
+compiled = pytest.mark.skipif(BACKEND != "numba", reason="long runs: compiled kernel only")
+
+
+@compiled
 @pytest.mark.parametrize("loop", random_loops(18), ids=lambda loop: (
     f"{loop.plant.arm.name}-{loop.joint}-{loop.period * 1e3:.2f}ms-{loop.delay}"))
 def test_simulation_and_eigenvalues_agree(loop):
@@ -183,7 +189,8 @@ def test_damping_of_a_known_oscillator():
     assert np.isnan(least_damped(np.diag([0.5, 0.9]), step)).all()
 
 
-@pytest.mark.parametrize("method", [ultimate_by_eigenvalues, ultimate_by_simulation])
+@pytest.mark.parametrize("method", [ultimate_by_eigenvalues, pytest.param(
+    ultimate_by_simulation, marks=compiled)])
 def test_requests_without_an_answer_are_refused(method):
     with pytest.raises(TuningError, match="no ultimate gain below 3000 V/rad"):
         method(Loop(Plant.of(), 3, UPRIGHT), limit=3000.0)
@@ -220,6 +227,7 @@ def test_locked_joints_are_truly_locked():
 # --------------------------------------------------------------------------------------- command
 
 
+@compiled
 def test_command_prints_both_methods_and_table_7_2(capsys):
     assert call("tune", "--joint", 2, "--pose", "0,-90,90") == 0
     text = capsys.readouterr().out
@@ -243,7 +251,7 @@ def test_command_takes_rate_delay_and_plant(capsys):
 
 @pytest.mark.parametrize("arguments, message", [
     (("--joint", 2, "--pose", "0,90,0"), "joint 2 at 90 deg; expected -223 to 43 deg"),
-    (("--joint", 3, "--limit", 100), "no ultimate gain below 100 V/rad"),
+    (("--joint", 3, "--limit", 100, "--method", "eigenvalues"), "no ultimate gain below 100 V/rad"),
     (("--joint", "two"), "--joint: 'two'; expected a whole number"),
     (("--joint", 4), "joint 4; expected 1, 2 or 3"),
     (("--joint", 1, "--pose", "0,0"), "--pose: '0,0'; expected three finite numbers"),

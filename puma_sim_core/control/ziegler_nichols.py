@@ -180,7 +180,8 @@ def _search(plant, joint, poses, period, delay, limit, points):
     gain = _bisected(stable, grid[last - 1], grid[last])
     least = _bisected(lambda k: ~stable(k), grid[first - 1], grid[first])
     z = np.linalg.eigvals(proportional_loop(f, g, gain, delay))
-    angle = np.abs(np.angle(np.take_along_axis(z, np.argmax(np.abs(z), -1)[..., None], -1)))[..., 0]
+    outermost = np.take_along_axis(z, np.argmax(np.abs(z), -1)[..., None], -1)[..., 0]
+    angle = np.abs(np.angle(outermost))
     with np.errstate(divide="ignore"):
         return (np.where(ends, gain, np.nan), np.where(ends, 2.0 * pi * period / angle, np.nan),
                 np.where(some, np.where(first == 0, 0.0, least), np.nan))
@@ -204,7 +205,8 @@ def ultimate_by_simulation(loop: Loop, *, limit: float = GREATEST_GAIN,
     """Ultimate gain and period as an experimenter finds them, on the nonlinear simulator.
 
     The joint stands at its pose, held against gravity, but `amplitude` [rad] beside it. Gains are
-    taken from the limit down to the first at which the oscillation dies out, and then bisected. accuracy : relative, of the gain. No voltage limit but that of the plant's effects.
+    taken from the limit down to the first at which the oscillation dies out, and then bisected.
+    accuracy : relative, of the gain. No voltage limit but that of the plant's effects.
 
     Raises
     ------

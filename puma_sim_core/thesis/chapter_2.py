@@ -14,7 +14,7 @@ from ..inverse_kinematics import wrist_angles
 from ..kinematics import forward_kinematics, link_transforms, wrist_position
 from ..parameters import ArmParameters, load_parameters
 from .registry import Context, experiment
-from .result import Curve, Figure, Result, Row
+from .result import Curve, Figure, Result, Row, matrix_text
 
 #: poses that the thesis names (all six joints) [deg]
 POINTS = (
@@ -87,11 +87,7 @@ def _millimetres(position) -> str:
 
 
 def _aligned(matrix: str) -> str:
-    """Rows of a matrix with its columns one below the other."""
-    rows = [row.split() for row in matrix.replace("-", "\N{MINUS SIGN}").split("\n")]
-    widths = [max(map(len, column)) for column in zip(*rows)]
-    return "\n".join(" ".join(f"{each:>{width}}" for each, width in zip(row, widths))
-                     for row in rows)
+    return matrix_text([row.split() for row in matrix.split("\n")])
 
 
 def _matrix_rows(arm: ArmParameters, poses) -> list[Row]:

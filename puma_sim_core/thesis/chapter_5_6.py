@@ -14,7 +14,7 @@ from ..third_order import (ThirdOrderMatrices, acceleration_from_current, curren
 from .misprints.chapter_6 import jerk_6_2
 from .misprints.reference import VISCOUS, nominal
 from .registry import Context, experiment
-from .result import Curve, Figure, Heatmap, Result, Row
+from .result import Curve, Figure, Heatmap, Result, Row, matrix_text
 
 #: a moving start with held voltages: angles, velocities, currents, volts
 START = (np.array([0.1, -0.4, 0.7]), np.array([0.3, -0.2, 0.5]), np.array([0.5, -1.0, 0.8]))
@@ -76,8 +76,8 @@ def third_order(context: Context) -> Result:
         value = getattr(named, name)
         numbers[name] = [[float(f"{x:.9g}") for x in row] for row in np.atleast_2d(value)]
         rows.append(Row(f"{name} at q = (0.1, -0.4, 0.7), qd = (0.3, -0.2, 0.5)", _UNITS[name],
-                        None, "; ".join(" ".join(f"{x:.4g}" for x in row)
-                                        for row in np.atleast_2d(value))))
+                        None, matrix_text([[f"{x:.4g}" for x in row]
+                                           for row in np.atleast_2d(value)])))
     worst = max(jerk_disagreement(rng, name, form) for name in parameter_sets()
                 for form in ("physical", "printed"))
     context.progress(0.3)

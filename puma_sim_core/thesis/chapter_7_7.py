@@ -153,7 +153,8 @@ def joint_1(context: Context) -> Result:
         f"One PID cannot serve joint 1: tuned upright, it is unstable at {100.0 * share:.0f} % of "
         f"the poses of the workspace, the outstretched ones. Tuned for the outstretched arm, it is "
         f"stable everywhere and detuned elsewhere (damping {low:.2f} to {high:.2f}), as the thesis "
-        "says of its own. With the thesis's gains, twenty to thirty times lower, both plots settle.",
+        "says of its own. With the thesis's gains, twenty to thirty times lower, both plots "
+        "settle.",
         tuple(rows), tuple(figures), numbers)
 
 
@@ -173,8 +174,8 @@ def joint_2(context: Context) -> Result:
                     f"{c.plot}_period_range": [period.min(), period.max()],
                     f"{c.plot}_least_gain": float(least.max()), f"{c.plot}_hardest": hardest}
         rows += [Row(f"{c.name}: q2 of the least Kmax", "deg", "close to the vertical", hardest,
-                     f"But Kmax changes by {1e6 * (gain.max() / gain.min() - 1.0):.2g} millionths only "
-                     "over the whole range: gravity is a weak spring."),
+                     f"But Kmax changes by {1e6 * (gain.max() / gain.min() - 1.0):.2g} millionths "
+                     "only over the whole range: gravity is a weak spring."),
                  Row(f"{c.name}: least gain that holds the arm up", "V/rad", None,
                      float(least.max()), "where it stands on end: R |dG2/dq2| / kT")]
         curves.append(Curve(c.name, np.degrees(q2), gain / gain.max()))

@@ -283,6 +283,8 @@ def joints(context: Context) -> Result:
     late = found["gains of the corrected model", "delay of 3 samples (2.8 ms)", "ramps"]
     slow = found["thesis's gains", "sampled each 50 ms, one sample of delay", "ramps"]
     fine = found["thesis's gains", "counts and converter", "ramps"]
+    jump = 1e3 * max(found["thesis's gains", m.name, motion].worst for m in MECHANISMS
+                     if "friction" in m.name and m.effects for motion in MOTIONS)
     borne = numbers["gains of the corrected model | delay borne alone, together"]
     rows.insert(0, Row("oscillation while joints 2 and 3 stand still", "", "sustained",
                        str(found["thesis's gains", "saturation at 40 V", "ramps"]),
@@ -292,7 +294,8 @@ def joints(context: Context) -> Result:
         "With the thesis's gains at the stated 28/30 ms nothing that was tried sustains the "
         "oscillation of plot 7.22: not saturation, windup, quantisation, limits, friction, nor "
         f"a delay of up to 28 ms (counts and converter leave {1e6 * max(fine.after):.0f} urad, "
-        "less than a count; friction stops the arm). Delay is what brings it about. With gains "
+        f"less than a count; dry friction holds the arm, but for rare jumps of up to {jump:.1f} "
+        "mrad). Delay is what brings it about. With gains "
         f"tuned joint by joint on the corrected model, each joint alone bears {min(borne[:3])} "
         f"samples of delay and all together {borne[3]}: beyond, the coupling drives a limit "
         f"cycle, at three samples of {', '.join(f'{1e3 * a:.1f}' for a in late.after)} mrad and "

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 import math
-from typing import Any, Mapping
+from typing import Any, Mapping, Sequence
 
 import numpy as np
 
@@ -160,6 +160,14 @@ class Result:
             object.__setattr__(self, name, tuple(getattr(self, name)))
         object.__setattr__(self, "numbers", {
             str(name): _plain(value, f"number {name!r}") for name, value in self.numbers.items()})
+
+
+def matrix_text(rows: Sequence[Sequence[str]]) -> str:
+    """A matrix as lines with its columns one below the other; tables show it so."""
+    texts = [[text.replace("-", "\N{MINUS SIGN}") for text in row] for row in rows]
+    widths = [max(map(len, column)) for column in zip(*texts)]
+    return "\n".join("  ".join(f"{text:>{width}}" for text, width in zip(row, widths))
+                     for row in texts)
 
 
 def _is_number(value: Any) -> bool:

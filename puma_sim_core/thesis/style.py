@@ -31,8 +31,9 @@ caption { text-align: left; font-weight: 600; padding: .3rem 0; }
 th, td { text-align: left; vertical-align: top; padding: .35rem .6rem .35rem 0;
   border-bottom: 1px solid var(--line); overflow-wrap: break-word; }
 thead th { border-bottom: 1.5px solid var(--ink); font-size: .82rem; color: var(--soft); }
-tbody th { font-weight: 500; width: 27%; }
-td.value { font-variant-numeric: tabular-nums; width: 14%; white-space: pre-line; }
+tbody th { font-weight: 500; width: 27%; min-width: 9rem; }
+td.value { font-variant-numeric: tabular-nums; min-width: 6rem; white-space: pre-line; }
+td.note { min-width: 14rem; }
 table.words tbody th { width: 19%; }
 table.words td.value { width: 18%; }
 td.value.block { white-space: pre; overflow-x: auto; font-size: .92em;
@@ -76,6 +77,7 @@ footer { margin-top: 3rem; padding-bottom: 2rem; color: var(--soft); font-size: 
   td.value.block::before { display: block; font-family: system-ui, sans-serif; }
   table.words td { grid-column: 1 / -1; }
   th, td { border: 0; padding: .05rem 0; }
+  tbody th, td.value, td.note { min-width: 0; }
   tbody th { font-weight: 600; }
   td[data-name]::before { content: attr(data-name) ": "; color: var(--soft); }
   td:empty { display: none; }
