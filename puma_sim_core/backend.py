@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Compiling the kernel: by numba where it is installed, plain Python otherwise.
 
 A process uses one of the two throughout. The environment variable ``PUMA_SIM_KERNEL`` chooses:

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Stick and slip: one step of the model with dry friction in it.
 
 Dry friction has no derivative at rest, so each joint is at every moment in one of two states.

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Errors that users meet: each names what is wrong, where it stands and what was expected."""
 
 from __future__ import annotations

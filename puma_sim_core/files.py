@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Files that appear complete or not at all, and YAML with each key once."""
 
 from __future__ import annotations

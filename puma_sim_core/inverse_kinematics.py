@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Joint angles that put the wrist at a point: the three joints that carry it, in closed form."""
 
 from __future__ import annotations

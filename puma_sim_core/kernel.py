@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """The third-order model as scalar code: its derivative and one Runge-Kutta step.
 
 Everything that moves runs through here, compiled or as plain Python (see `backend`), with the

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Kinematics of the six links: homogeneous transforms and their derivatives (chapter 2).
 
 Standard (distal) Denavit-Hartenberg: joint i turns about z_{i-1}, and the transform from frame i-1

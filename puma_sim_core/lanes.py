@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Several runs side by side in the lanes of the processor's vector registers.
 
 The same step as in `kernel`, inside a loop over lanes that the compiler turns into vector

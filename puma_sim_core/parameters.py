@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """What the arm is: the numbers of a rigid three-link PUMA 560 and its motors, with their units.
 
 A parameter file is YAML. Each number stands as ``{value: ..., unit: ..., source: ...}``; the unit

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """A plant: an arm and the effects that act on it, and the file that holds both.
 
 A model file is YAML: ``format``, ``version`` of the package that wrote it, ``torque_form``,

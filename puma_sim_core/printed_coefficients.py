@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Numerical coefficients of section 4.5, as printed and with their misprints corrected.
 
 For regression only: they show which parameters the thesis used (Bejczy's, table 4.2, though the

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """What a run gives: times, voltages and states, and their CSV form.
 
 Columns: ``time`` [s], ``voltage1..3`` [V], and, in the output of a run, ``position1..3`` [rad],

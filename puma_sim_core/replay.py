@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """A bag's commands through the core again: the same states to the last bit, or the first that
 differs."""
 

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """A measured log in open loop: its voltages through the model, started again every few seconds.
 
 At the start of each window the model takes over the measured state; from there to the end of the

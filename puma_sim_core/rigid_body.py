@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """The rigid body: inertia D, centripetal and Coriolis coefficients C, gravity torque G.
 
 Two forms of the same mechanics. The closed form (equations 4.9 to 4.47, with their misprints

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Whole runs of the kernel in one call: voltages held row by row, or the digital servo.
 
 The functions here take plain numbers, tuples and flat arrays, so that they compile; `Simulator`

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """A session: commands in, one period of the arm at a time, states out.
 
 The node runs one and so does a replay; there is no ROS, no clock and no file in it. Time is the
@@ -8,6 +9,7 @@ step times the period. A command that comes between states k and k + 1 acts from
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field
 from math import isfinite
 from typing import NamedTuple
@@ -16,6 +18,9 @@ import numpy as np
 
 from . import __version__
 from .backend import BACKEND
+from .closed_loop import ControlLoop
+from .control.controllers import load_settings, make_controller
+from .control.pid import Pid
 from .control.servo import ServoConfig
 from .errors import CommandError, ModelError, NonFiniteStateError, ParameterError
 from .plant import Plant
@@ -42,6 +47,11 @@ class SessionConfig:
         fall to 0 V and the position servo holds where the arm is; 0 disables.
     initial_position [rad], initial_velocity [rad/s], initial_current [A] : of the three joints.
     servo : the digital servo of the position interface.
+    controller : what computes its volts: "pid" with the servo's gains, "scheduled" or
+        "computed_torque" with the servo's encoder, converter, amplifier and delay around it and
+        the session's own arm, without its effects, as the model.
+    controller_settings : of a controller other than "pid", see `control.controllers`; None for
+        those of config/controllers.yaml.
 
     Raises
     ------
@@ -60,6 +70,8 @@ class SessionConfig:
     servo: ServoConfig = field(default_factory=ServoConfig)
     joint_names: tuple[str, str, str] = ("joint1", "joint2", "joint3")
     frame_id: str = "base_link"
+    controller: str = "pid"
+    controller_settings: Mapping | None = None
 
     def __post_init__(self):
         if self.command_interface not in COMMAND_INTERFACES:
@@ -87,6 +99,39 @@ class SessionConfig:
         if len(names) != 3 or len(set(names)) != 3 or not all(
                 isinstance(name, str) and name for name in names):
             raise ParameterError(f"joint_names {names!r}", expected="three different names")
+        self._settle_controller()
+
+    def _settle_controller(self) -> None:
+        """Take over the controller's settings, so that a record of them is complete."""
+        if self.controller == "pid":
+            if self.controller_settings is not None:
+                raise ParameterError("controller_settings of controller 'pid'",
+                                     expected="none: its gains are the servo's")
+            return
+        settings = (load_settings(self.controller) if self.controller_settings is None
+                    else deepcopy(dict(self.controller_settings)))
+        object.__setattr__(self, "controller_settings", settings)
+        self.make_controller()
+        if self.command_interface != "position":
+            raise ParameterError(
+                f"controller '{self.controller}'", expected="pid, or command_interface position: "
+                "no controller acts on commands in volts")
+
+    def make_controller(self):
+        """The controller of the position interface as an object (see `control.controllers`); for
+        "pid" the servo is compiled, and this is its equal.
+
+        Raises
+        ------
+        ParameterError : names the setting that cannot be.
+        """
+        h, limit = self.period / self.substeps, self.voltage_limit / self.servo.amplifier_gain
+        if self.controller == "pid":
+            return Pid(self.servo.gains, h, limit=limit, anti_windup=self.servo.anti_windup,
+                       on_measurement=self.servo.derivative_on_measurement)
+        return make_controller(self.controller, self.plant, self.controller_settings, h,
+                               self.voltage_limit, setpoint_period=self.period,
+                               amplifier_gain=self.servo.amplifier_gain)
 
     @property
     def period_ns(self) -> int:
@@ -107,8 +152,15 @@ class SessionConfig:
                 "initial_position": list(self.initial_position),
                 "initial_velocity": list(self.initial_velocity),
                 "initial_current": list(self.initial_current),
-                "servo": self.servo.to_mapping(), "joint_names": list(self.joint_names),
-                "frame_id": self.frame_id, "model": self.plant.to_mapping()}
+                "servo": self.servo.to_mapping(), **self._controller_mapping(),
+                "joint_names": list(self.joint_names), "frame_id": self.frame_id,
+                "model": self.plant.to_mapping()}
+
+    def _controller_mapping(self) -> dict:
+        # without a key for the default, earlier versions read the sessions that they can run
+        return {} if self.controller == "pid" else {
+            "controller": self.controller,
+            "controller_settings": deepcopy(self.controller_settings)}
 
     @classmethod
     def from_mapping(cls, mapping: Mapping, where: str | None = None) -> SessionConfig:
@@ -184,6 +236,9 @@ class Session:
         self._out = np.empty((2, 12))
         self._servo_out = np.empty((config.substeps + 1, 12))
         self._servo_volts = np.empty((config.substeps, 3))
+        self._loop = None if config.controller == "pid" else ControlLoop(
+            config.make_controller(), config.servo, self._h, 1, config.voltage_limit,
+            [m.gear_ratio for m in plant.arm.motors], self._kernel)
         self.reset()
 
     def reset(self) -> None:
@@ -194,6 +249,8 @@ class Session:
         self._target = list(c.initial_position if c.command_interface == "position" else _NOTHING)
         self._memory = native([*servo_memory(c.initial_position, c.initial_position, self._servo),
                                *c.servo.held_back()])
+        if self._loop is not None:
+            self._loop.reset()
         self._fresh = False
         self.command_age_steps = 0
         self.counters = Counters()
@@ -267,8 +324,10 @@ class Session:
         try:
             if self.config.command_interface == "voltage":
                 bad, row, voltage = self._step_voltage()
-            else:
+            elif self._loop is None:
                 bad, row, voltage = self._step_servo()
+            else:
+                bad, row, voltage = self._step_controller()
         except (OverflowError, ValueError, ZeroDivisionError):
             bad, row, voltage = 1, None, _NOTHING
         step = self.state.step + 1
@@ -303,6 +362,12 @@ class Session:
         bad = run_servo(self._x, self._bristles, self._row, self.config.substeps, 1, self._h,
                         self._servo, self._memory, *self._kernel, self._servo_out,
                         self._servo_volts)
+        return bad, self._servo_out[-1], tuple(self._servo_volts[-1].tolist())
+
+    def _step_controller(self):
+        bad = self._loop.run(self._x, self._bristles, [self._target], self.config.substeps,
+                             self.state.step * self.config.period, self._servo_out,
+                             self._servo_volts)
         return bad, self._servo_out[-1], tuple(self._servo_volts[-1].tolist())
 
     def _state(self, step, voltage) -> SessionState:

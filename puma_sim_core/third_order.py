@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """The third-order model in the thesis's states (q, qd, qdd), with its named matrices (chapter 5).
 
     Dbar qddd = v - (FMAT + BMAT + GMAT + HMAT) qdd - (JKMAT + KMAT) qd - LMAT

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """The arm as URDF text, for RViz, Foxglove and MoveIt: frames, ranges and simple shapes.
 
 URDF turns a joint about an axis of the child's own frame, before the constant transform to the

@@ -1,2 +1,3 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """The ROS 2 side of the simulator: conversion, parameters, pacing. The arm is in puma_sim_core."""

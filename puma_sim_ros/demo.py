@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """The whole in one go: `python -m puma_sim_ros.demo --out DIR`.
 
 Starts `sim_node` and the example controller as two processes over DDS, lets the controller lead

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """The picture of the demonstration: the arm from the side, and its joints over time."""
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """An example of a controller outside the simulator: PID control in volts, over topics.
 
 It leads the wrist down a straight vertical line, as in section 7.5 of the thesis: setpoints each

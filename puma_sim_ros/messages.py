@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Between the session's tuples and ROS messages.
 
 The messages that go out at each step are made once and filled again: rclpy serialises a message

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """The parameters of `sim_node`: declared with their ranges, turned into a session's configuration.
 
 ROS checks types and the ranges of single numbers. Everything else (arrays, the plant, the length

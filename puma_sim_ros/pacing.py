@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """When each step is due on the wall clock, and how late it was. No ROS here; the clock is injected.
 
 Simulated time is the number of steps times the period. A timer callback for each step would lose

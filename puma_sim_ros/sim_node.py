@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """The simulator as a ROS 2 node: topics, services and time around a `Session`.
 
 Everything that a command does is the session's business; what is here converts, paces, publishes

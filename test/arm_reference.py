@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Plants for the tests, and the equations of motion written down a second time, with matrices."""
 
 from __future__ import annotations

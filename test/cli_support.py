@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Calls of `puma-sim` and files for it, for the tests."""
 
 from __future__ import annotations

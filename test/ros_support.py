@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """A `sim_node` in a process of its own, and a peer in this one that talks to it over DDS."""
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """The compiled and the interpreted kernel give the same bits; the cache is never in the way."""
 
 from __future__ import annotations

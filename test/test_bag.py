@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Bags give back a session to the last bit; equal sessions are equal bytes."""
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Bags are written whole or not at all; each error names what, where, and what was expected."""
 
 from __future__ import annotations

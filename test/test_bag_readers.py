@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Readers of other projects accept every bag and find the same numbers in it."""
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """A killed recorder loses at most the last second, and never more than can be said."""
 
 from __future__ import annotations

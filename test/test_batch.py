@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Batches: the same runs as one by one, whatever the grouping and the number of workers."""
 
 from __future__ import annotations

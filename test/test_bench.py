@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """The bench: all rows move the same arm, and the table says what was measured. Nothing is timed."""
 
 from __future__ import annotations

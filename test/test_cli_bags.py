@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """`puma-sim replay` and `puma-sim recover`: what they print, how they end, what they leave."""
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """`puma-sim` as a program: help, version, listings, and what ends it."""
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Recordings as files: every bit comes back, and both readers of numbers agree."""
 
 from __future__ import annotations

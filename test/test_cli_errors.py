@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Bad input of `puma-sim`: one line says what, where and what was expected; nothing is written."""
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Stick: what dry friction holds stays where it is, and lets go at the right load and time."""
 
 from __future__ import annotations

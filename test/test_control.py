@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Controllers and setpoints: the PID law in all its forms, the servo's chain, straight lines."""
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """What each effect does to the motion, against closed forms and independent integrators."""
 
 from __future__ import annotations

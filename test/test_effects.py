@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Effects as definitions: their registry, their text and file forms, and their errors."""
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """The kernel against regression values, independent integrators, and laws of mechanics."""
 
 from __future__ import annotations

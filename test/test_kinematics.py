@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Kinematics of six links: poses known by geometry, and derivatives against the complex step."""
 
 from __future__ import annotations

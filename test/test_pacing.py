@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """The schedule of the steps: nothing lost, nothing early, whatever the clock does."""
 
 from __future__ import annotations

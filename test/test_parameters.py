@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Parameter sets: what they hold, that files keep every digit, and that bad ones are named."""
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """A plant and its file: what goes in comes out, and what cannot be used is named."""
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """A bag's commands through the core again: every bit, or the first step that differs."""
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """A bag given back to topics: what was recorded, to a viewer or to a simulator."""
 
 from __future__ import annotations

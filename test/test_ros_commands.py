@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Commands over topics: the node does with them what the session in the core does, exactly."""
 
 from __future__ import annotations

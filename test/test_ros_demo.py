@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """The demonstration runs from nothing to a picture, and leaves what it finds alone."""
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """What cannot be used stops the node before anything moves; what goes wrong later pauses it."""
 
 from __future__ import annotations

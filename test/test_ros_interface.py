@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """The interface of `sim_node`, seen from another process: names, types, quality, services."""
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Lockstep: one command, one step; equal commands, equal bags."""
 
 from __future__ import annotations

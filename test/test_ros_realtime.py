@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Realtime: simulated time keeps up with the clock, commands act at once, bags survive the end."""
 
 from __future__ import annotations

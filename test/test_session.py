@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """A session: commands by the step, a watchdog, counters, and equal reruns."""
 
 from __future__ import annotations

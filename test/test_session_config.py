@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """A session's configuration: text that makes an equal session, and errors that name the value."""
 
 from __future__ import annotations

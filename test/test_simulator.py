@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """The simulator's promises to its callers: rows, steps, limits, errors, and equal reruns."""
 
 from __future__ import annotations

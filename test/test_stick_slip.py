@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Reversals and jerking motion under dry friction, against an event-driven integrator."""
 
 from __future__ import annotations

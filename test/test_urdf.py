@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """The URDF is the thesis's arm: its frames, ranges and names, read back by an own small reader."""
 
 from __future__ import annotations

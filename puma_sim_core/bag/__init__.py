@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Bags: sessions as rosbag2 directories with an MCAP file, written and read without ROS.
 
     NAME/NAME_0.mcap     the messages, in simulated time

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """What stands in a bag: topics, their quality of service, and messages as CDR bytes.
 
 CDR is the encoding that ROS 2 middleware uses for messages. It is written here with padding

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """``metadata.yaml`` of a rosbag2 directory, version 9 (ROS 2 Jazzy)."""
 
 from __future__ import annotations

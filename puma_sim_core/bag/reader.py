@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Reading of bags that `BagRecorder` wrote."""
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Recording of a session as a rosbag2 directory, NAME/NAME_0.mcap and NAME/metadata.yaml."""
 
 from __future__ import annotations

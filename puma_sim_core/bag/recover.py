@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Recovery of what a killed recorder left."""
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """One pass over the records of an MCAP file, that of a killed recorder included.
 
 The reader of the `mcap` package needs the index at the end of the file, or takes a cut record

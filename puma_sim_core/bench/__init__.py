@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """How fast the simulator is beside others: ``python -m puma_sim_core.bench``, or ``make bench``.
 
 All rows do one task (`task`): 10 s of the three-joint arm with its motors. They are measured in

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """``python -m puma_sim_core.bench``: one table, measured in one run."""
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """CasADi: our own expressions as its graph, RK4 step and all steps of the run, as generated C."""
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """The process behind `own.PlainPython`: one run of the task for each line of standard input."""
 
 from __future__ import annotations

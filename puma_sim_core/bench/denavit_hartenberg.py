@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """The arm as other libraries want it: frames and inertias about the centres of mass."""
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Measuring rows in turn, round after round.
 
 A machine that is shared is slow for a while, then fast again. So each round calls every row, the

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """MuJoCo with the same arm: same inertias, same motors, its RK4 at the same step.
 
 The actuator is MuJoCo's own ``dcmotor`` (since 3.7), whose activation is the armature current.

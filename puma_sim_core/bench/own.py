@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Our own rows: compiled, plain Python, with effects, in batches; and the time of the import."""
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Pinocchio: its articulated-body algorithm called from Python, RK4 and motors around it."""
 
 from __future__ import annotations

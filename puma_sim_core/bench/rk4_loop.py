@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """RK4 and the motors in NumPy, around a library's forward dynamics.
 
 For the peers that give accelerations but do not simulate a motor: what their user would write.

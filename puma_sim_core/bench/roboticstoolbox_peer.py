@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Robotics Toolbox for Python: its forward dynamics in an RK4 loop, and its own integrator."""
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """From measured times to the table, the targets and their text."""
 
 from __future__ import annotations

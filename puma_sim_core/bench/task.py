@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """What every row of the bench does, and what a row is."""
 
 from __future__ import annotations

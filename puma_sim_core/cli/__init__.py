@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """The command `puma-sim`. Each subcommand has its file; here they come together.
 
 The files declare their options with nothing but argparse, and import the model when they run:

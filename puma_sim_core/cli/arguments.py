@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Options that subcommands share, and how their texts become numbers and plants."""
 
 from __future__ import annotations

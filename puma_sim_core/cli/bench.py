@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Speed beside other libraries; `puma-sim bench --help` lists the options."""
 
 from __future__ import annotations

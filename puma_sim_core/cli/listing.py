@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """List the published parameter sets and the effects, which are what a real drive does and the
 thesis's model lacks.
 

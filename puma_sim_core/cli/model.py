@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Write a model file: the parameters of an arm and effects in one, for --model."""
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Where the output of a command goes, and the line that shows how far it is."""
 
 from __future__ import annotations

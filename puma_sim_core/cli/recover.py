@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Read what a killed recorder left of a bag, and write it as a closed bag beside it.
 
 All whole periods are kept, with the commands that a written state shows. The original is not

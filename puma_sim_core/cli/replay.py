@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Give a bag's commands to the model again, and compare the states bit by bit.
 
 The exit status is 0 where all agree and 1 at the first step that differs. With --publish the

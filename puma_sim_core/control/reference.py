@@ -9,8 +9,10 @@ Setpoints come one each 28 ms and are not known in advance. Three stages make a 
 2. A quadratic B-spline through three successive points p0, p1, p2 that are T apart, u = 0 to 1
    in each period: ``r = [(1 - u)^2 p0 + (1 + 2u - 2u^2) p1 + u^2 p2] / 2``, whose velocity is
    continuous and whose acceleration is the second difference over T^2. It is 1.5 T late.
-3. Lead. ``r + c r' + c^2/2 r''`` and ``r' + c r''`` with c = 1.5 T make up for that: a path of
-   constant acceleration is followed without delay.
+3. Lead. ``r + c r' + c^2/2 r''`` and its derivative with c = 1.5 T make up for that: a path of
+   constant acceleration is followed without delay. While the bounds hold the path back there is
+   nothing to be in time for, and a lead would only overshoot where it brakes: c is then taken
+   away, and given back within eight periods.
 """
 
 from __future__ import annotations
@@ -22,6 +24,8 @@ from ..errors import ParameterError
 
 #: delay of the spline in periods of the setpoints
 _LATE = 1.5
+#: periods in which the lead comes back
+_BACK = 8
 
 
 class SetpointReference:
@@ -76,18 +80,21 @@ class SetpointReference:
                 joint.take(float(r))
         u = self._k / self._samples
         self._k = (self._k + 1) % self._samples
-        return [self._spline(joint.points, u) for joint in self._joints]
+        return [self._led(joint, u) for joint in self._joints]
 
-    def _spline(self, points, u):
-        p0, p1, p2 = points
-        T, c = self._T, self._lead
+    def _led(self, joint, u):
+        p0, p1, p2 = joint.points
+        T = self._T
         first, second = p1 - p0, p2 - p1
+        # in a form that gives p0 exactly where all three are equal
+        position = p0 + 0.5 * (first * (1.0 + u * (2.0 - u)) + second * u * u)
         velocity = ((1.0 - u) * first + u * second) / T
         acceleration = (second - first) / (T * T)
-        # the polynomial in a form that gives p0 exactly where all three are equal
-        position = p0 + 0.5 * (first * (1.0 + u * (2.0 - u)) + second * u * u)
+        before, after = joint.shares
+        c = self._lead * (before + u * (after - before))
+        slope = self._lead * (after - before) / T
         return (position + c * velocity + 0.5 * c * c * acceleration,
-                velocity + c * acceleration, acceleration)
+                velocity + c * acceleration + slope * (velocity + c * acceleration), acceleration)
 
 
 class _Bounded:
@@ -98,6 +105,7 @@ class _Bounded:
 
     def start(self, q: float) -> None:
         self.points = (q, q, q)
+        self.shares = (1.0, 1.0)
         self._velocity = 0.0
         self._target = q
 
@@ -117,3 +125,5 @@ class _Bounded:
         after = target if at_target else p + wanted * T
         self._velocity = wanted
         self.points = (self.points[1], p, after)
+        self.shares = (self.shares[1],
+                       min(self.shares[1] + 1.0 / _BACK, 1.0) if at_target else 0.0)

@@ -34,7 +34,7 @@ class GainSchedule:
     q2, q3 : the angles of the tables [rad], increasing, two at least of each.
     gain [V/rad], integral_time [s] (inf: no integral action), derivative_time [s] : one entry a
         joint, each a number that holds everywhere or a table with a row for each q2 and a column
-        for each q3.
+        for each q3; one row or one column holds for all.
 
     Raises
     ------
@@ -118,10 +118,11 @@ def _entry(entry, what: str, shape):
         values = np.empty(0)
     if values.shape == () and not isinstance(entry, (bool, str)):
         return float(entry)
-    if values.shape != shape or not np.isfinite(values).all():
+    if values.ndim != 2 or any(n not in (1, m) for n, m in zip(values.shape, shape)) \
+            or not np.isfinite(values).all():
         raise ParameterError(f"{what} = {entry!r}"[:200], where="gain schedule",
                              expected=f"a number, or {shape[0]} rows of {shape[1]} numbers")
-    return tuple(tuple(row) for row in values.tolist())
+    return tuple(tuple(row) for row in np.broadcast_to(values, shape).tolist())
 
 
 def _place(angles, q: float) -> tuple[int, float]:

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Setpoints as VAL gives them: one for each joint and period, along a straight line of the wrist."""
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """The registry of effects. A new family is one line here, a new law one line in the kernel."""
 
 from __future__ import annotations

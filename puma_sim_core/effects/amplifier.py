@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """What the power amplifier does to the voltage that the controller asks for."""
 
 from __future__ import annotations

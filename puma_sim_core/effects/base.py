@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """What an effect is: one definition that simulating, listing and reporting share.
 
 An effect is something that a real drive does and the thesis's model lacks. Its family's file

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Friction of a joint: viscous, dry in several forms, and the bristle that bends before sliding.
 
 All torques are at the joint. Dry friction is a level that opposes sliding and holds at rest

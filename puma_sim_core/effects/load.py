@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """What the arm carries: a point mass that moves with link 3."""
 
 from __future__ import annotations

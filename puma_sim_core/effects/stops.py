@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
 """Where the motion of a joint ends: stops as stiff springs with damping."""
 
 from __future__ import annotations
