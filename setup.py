@@ -76,7 +76,7 @@ setup(
             "pytest",
             "pytest-timeout",
             "hypothesis",
-            "jsonschema",
+            "matplotlib",
             "mcap-ros2-support",
             "mujoco>=3.7",
             "catkin-pkg",

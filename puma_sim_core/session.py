@@ -108,8 +108,8 @@ class SessionConfig:
                 raise ParameterError("controller_settings of controller 'pid'",
                                      expected="none: its gains are the servo's")
             return
-        settings = (load_settings(self.controller) if self.controller_settings is None
-                    else deepcopy(dict(self.controller_settings)))
+        settings = self.controller_settings
+        settings = load_settings(self.controller) if settings is None else deepcopy(settings)
         object.__setattr__(self, "controller_settings", settings)
         self.make_controller()
         if self.command_interface != "position":

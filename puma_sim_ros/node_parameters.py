@@ -9,6 +9,7 @@ of an integration step) is checked where it is defined, by building the configur
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import inf
 from typing import Any, NamedTuple
 
 from rcl_interfaces.msg import (
@@ -20,6 +21,9 @@ from rcl_interfaces.msg import (
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
 
+from puma_sim_core.control.controllers import load_settings
+from puma_sim_core.control.pid import PidGains
+from puma_sim_core.control.servo import DEFAULT_GAINS, ServoConfig
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.errors import ParameterError, PumaSimError
 from puma_sim_core.parameters import load_parameters
@@ -78,6 +82,31 @@ PARAMETERS = (
              constraints="its folder exists, itself does not"),
     Declared("paused", False, "Simulated time stands still; ~/step makes single steps.",
              read_only=False),
+    Declared("controller", "pid", "What computes the volts of the position interface: the joint "
+             f"servo's PID, PID with gains that follow the pose, or computed torque. {_AT_RESET}",
+             read_only=False, constraints="pid, scheduled or computed_torque; the last two with "
+             "command_interface position"),
+    Declared("controllers_file", "", "YAML file with the settings of the controllers scheduled and "
+             f"computed_torque; config/controllers.yaml when empty. {_AT_RESET}", read_only=False),
+    Declared("servo.gain", [g.gain for g in DEFAULT_GAINS], "Kg of each joint's PID [V/rad], in "
+             f"volts before the amplifier. {_AT_RESET}", read_only=False,
+             constraints="three numbers, 0 or more"),
+    Declared("servo.integral_time", [g.integral_time for g in DEFAULT_GAINS], "Ti of each joint's "
+             f"PID [s]; 0 for no integral action. {_AT_RESET}", read_only=False,
+             constraints="three numbers, 0 or more"),
+    Declared("servo.derivative_time", [g.derivative_time for g in DEFAULT_GAINS], "Td of each "
+             f"joint's PID [s]. {_AT_RESET}", read_only=False,
+             constraints="three numbers, 0 or more"),
+    Declared("servo.derivative_on_measurement", True, "Take the derivative of the measured "
+             "position, not of the error: a step of the setpoint then does not kick. "
+             f"{_AT_RESET}", read_only=False),
+    Declared("servo.amplifier_gain", 1.0, "Motor volts per volt of the converter. "
+             f"{_AT_RESET}", (0.001, 1000.0), read_only=False),
+    Declared("servo.converter_bits", 0, "Bits of the digital-to-analogue converter, whose range is "
+             f"that of voltage_limit; 0 for an ideal one, 1 is none. {_AT_RESET}", (0, 32),
+             read_only=False),
+    Declared("servo.encoder_counts", 0, "Encoder counts in a turn of the motor (the PUMA has "
+             f"1000); 0 for an ideal encoder. {_AT_RESET}", (0, 100_000_000), read_only=False),
 )
 _DEFAULTS = {declared.name: declared.default for declared in PARAMETERS}
 
@@ -203,7 +232,41 @@ def build_config(values: Mapping[str, Any], plant: Plant) -> SessionConfig:
         initial_position=tuple(values["initial_position"]),
         joint_names=tuple(values["joints"]),
         frame_id=values["frame_id"],
+        servo=_servo(values),
+        controller=values["controller"],
+        controller_settings=_controller_settings(values),
     )
+
+
+def _servo(values: Mapping[str, Any]) -> ServoConfig:
+    names = ("gain", "integral_time", "derivative_time")
+    columns = {name: list(values[f"servo.{name}"]) for name in names}
+    for name, column in columns.items():
+        if len(column) != 3:
+            raise ParameterError(repr(column), where=f"parameter 'servo.{name}'",
+                                 expected="three numbers, one for each joint")
+    # ROS has no way to write infinity on a command line
+    columns["integral_time"] = [t if t != 0.0 else inf for t in columns["integral_time"]]
+    return ServoConfig(
+        gains=tuple(_named(f"servo' of joint '{joint}", PidGains, *row) for joint, row in
+                    zip(values["joints"], zip(*(columns[name] for name in names)))),
+        amplifier_gain=values["servo.amplifier_gain"],
+        converter_bits=values["servo.converter_bits"] or None,
+        encoder_counts=values["servo.encoder_counts"] or None,
+        derivative_on_measurement=values["servo.derivative_on_measurement"])
+
+
+def _controller_settings(values: Mapping[str, Any]) -> dict | None:
+    path = values["controllers_file"]
+    if values["controller"] == "pid":
+        if path:
+            raise ParameterError(f"given with controller pid ({path})",
+                                 where="parameter 'controllers_file'",
+                                 expected="controller scheduled or computed_torque; the gains of "
+                                          "pid are servo.gain and so on")
+        return None
+    return _named("controllers_file" if path else "controller", load_settings,
+                  values["controller"], "servo", path or None)
 
 
 def check_change(changes, values: Mapping[str, Any], plant: Plant) -> SetParametersResult:
