@@ -213,6 +213,7 @@ def test_targets_say_reached_not_reached_or_not_measured():
 def test_the_command_prints_one_table_and_writes_the_numbers(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(bench, "QUICK_SECONDS", 0.02)
     monkeypatch.setattr(own, "BATCH_RUNS", 8)
+    monkeypatch.setattr(own, "FITTING_RUNS", 8)
     monkeypatch.setattr(bench, "installed", lambda package: package == "numpy")
     monkeypatch.setattr(own, "import_seconds", lambda module: [0.1, 0.2, 0.3])
     path = tmp_path / "bench.json"

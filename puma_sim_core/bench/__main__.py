@@ -129,9 +129,10 @@ def targets(bench: Bench, times: np.ndarray, imports: dict[str, list[float]]) ->
         Target("batch on one core: throughput / Simulator.run", over(own.COMPILED, own.BATCH_ONE),
                False, 2.5),
         Target(f"batch on {cores} cores: throughput / one core",
-               over(own.BATCH_ONE, own.BATCH_ALL), False, round(0.85 * cores, 2)),
+               over(own.FITTING_ONE, own.FITTING_ALL), False, round(0.85 * cores, 2)),
         Target(f"gain of {cores} cores: batch / C",
-               over(own.BATCH_ONE, own.BATCH_ALL, c_reference.LABEL, c_reference.LABEL_ALL_CORES),
+               over(own.FITTING_ONE, own.FITTING_ALL, c_reference.LABEL,
+                    c_reference.LABEL_ALL_CORES),
                False, 0.85),
         *(Target(f"import {module} without numba", table.Spread.of(seconds), True, 0.3, " s")
           for module, seconds in imports.items()),

@@ -32,8 +32,15 @@ BATCH_ALL = "puma_sim, batch on all cores"
 ALL_DRY = "puma_sim, all friction but the bristle"
 ALL_FRICTION = "puma_sim, all friction effects"
 
+FITTING_ONE = "puma_sim, batch with states each 28 ms, on one core"
+FITTING_ALL = "puma_sim, batch with states each 28 ms, on all cores"
+
 #: 23 MB of states: the allocator keeps that much, and the system's page faults do not count
 BATCH_RUNS = 32
+#: as a fit of parameters runs them, some tenth of a second at a time
+FITTING_RUNS = 256
+#: rows of 1 ms in one of 28 ms
+_HELD = 28
 
 #: (levels of the kind's parameters for joints 1, 2, 3): of a PUMA's size, where one is known
 _FRICTION = {
@@ -82,14 +89,17 @@ def one_call(task: Task):
     return run
 
 
-def batch(task: Task, workers: int):
-    """BATCH_RUNS runs of arms that differ in their masses, the first of them the task's own."""
+def batch(task: Task, workers: int, runs: int | None = None, held: int = 1):
+    """Runs (BATCH_RUNS of them) of arms that differ in their masses, the first the task's own.
+
+    held : rows of the task for which each voltage is held, and after which a state is given.
+    """
     arm = task.plant.arm
     plants = [Plant(replace(arm, links=tuple(replace(link, mass=link.mass * (1.0 + 0.001 * k))
                                              for link in arm.links)))
-              for k in range(BATCH_RUNS)]
-    time = STEP * np.arange(task.steps + 1)
-    voltages = np.vstack([task.voltages, task.voltages[-1:]])
+              for k in range(runs or BATCH_RUNS)]
+    time = (STEP * np.arange(task.steps + 1))[::held]
+    voltages = np.vstack([task.voltages, task.voltages[-1:]])[::held]
     position, velocity, current = task.state.reshape(3, 3)
 
     def run():
@@ -200,6 +210,11 @@ def rows(task: Task, child: PlainPython | None) -> list[Row]:
         made.append(Row(label, batch(task, workers), BATCH_RUNS * task.seconds, task.seconds,
                         calls=5, ours=True,
                         note=f"time a run, of {BATCH_RUNS} runs of arms that differ"))
+    for label, workers in ((FITTING_ONE, 1), (FITTING_ALL, core_count())):
+        made.append(Row(label, batch(task, workers, FITTING_RUNS, _HELD),
+                        FITTING_RUNS * task.seconds, task.seconds, calls=2, ours=True,
+                        compared=False,
+                        note=f"time a run, of {FITTING_RUNS} runs; voltages held for {_HELD} ms"))
     return made
 
 
