@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""An example of a controller outside the simulator: PID control in volts, over topics.
+"""An example of a controller outside the simulator: control in volts, over topics.
 
 It leads the wrist down a straight vertical line, as in section 7.5 of the thesis: setpoints each
-28 ms, one PID for each joint, volts back to the simulator. Each state that arrives is answered
-by one command, so the same program works in realtime and in lockstep. To try another law, copy
-this file and replace `control`.
+28 ms, volts back to the simulator, by PID, scheduled PID or computed torque: the same objects
+that the simulator has inside. Each state that arrives is answered by one command, so the same
+program works in realtime and in lockstep. To try another law, copy this file and give
+`connect` another object with `reset()` and `update(t, setpoint, measurement) -> volts`.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from rclpy.parameter_client import AsyncParameterClient
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from puma_sim_core.control.pid import Pid, PidGains
+from puma_sim_core.control.controllers import KINDS, load_settings, make_controller
 from puma_sim_core.control.setpoints import vertical_line
 from puma_sim_core.errors import PumaSimError
 from puma_sim_core.parameters import load_parameters
@@ -35,10 +36,13 @@ from .messages import qos, stamp_ns
 
 PARAMETERS = {
     "simulator": "sim_node",  # its name
-    "parameter_set": "bejczy",  # of it only the lengths and ranges of the arm are used
+    "parameter_set": "bejczy",  # the arm, as path and computed torque know it
+    "controller": "pid",  # pid, scheduled or computed_torque
+    "controllers_file": "",  # YAML file with settings; config/controllers.yaml when empty
     "drop": 0.25,  # length of the line [m], downwards
     "duration": 6.0,  # time to move along it [s]
     "settle": 0.5,  # time to stay at its end [s]
+    # of controller pid:
     "gain": [150.0, 260.0, 135.0],  # Kg [V/rad], three tenths of the ultimate gains at 28 ms
     "integral_time": [0.15, 0.15, 0.15],  # Ti [s]
     "derivative_time": [0.02, 0.02, 0.02],  # Td [s]
@@ -59,14 +63,10 @@ class ExternalController(Node):
         self.p = {name: self.declare_parameter(name, default).value
                   for name, default in PARAMETERS.items()}
         self.arm = load_parameters(self.p["parameter_set"])
-        columns = [self.p[name] for name in ("gain", "integral_time", "derivative_time")]
-        if any(len(column) != 3 for column in columns):
-            raise ControllerError(f"gains {[list(column) for column in columns]}",
-                                  expected="three numbers of each, one for each joint")
-        self.gains = [PidGains(*row) for row in zip(*columns)]
+        self.settings = self.controller_settings()
         self.spinner = SingleThreadedExecutor()
         self.spinner.add_node(self)
-        self.pid = None
+        self.controller = None
         self.setpoints = None
         self.rows = []
         self.done = False
@@ -80,6 +80,21 @@ class ExternalController(Node):
         # command is lost
         self.simulator = AsyncParameterClient(self, self.p["simulator"])
 
+    def controller_settings(self) -> dict:
+        """Settings of the controller; raises ControllerError on what cannot be."""
+        kind, path = self.p["controller"], self.p["controllers_file"]
+        if kind not in KINDS:
+            raise ControllerError(kind, where="parameter 'controller'",
+                                  expected=" or ".join(KINDS))
+        if kind != "pid":
+            return load_settings(kind, "external", path or None)
+        columns = {name: list(self.p[name])
+                   for name in ("gain", "integral_time", "derivative_time")}
+        if any(len(column) != 3 for column in columns.values()):
+            raise ControllerError(f"gains {list(columns.values())}",
+                                  expected="three numbers of each, one for each joint")
+        return {**columns, "derivative_on_measurement": False}
+
     def connect(self) -> None:
         """Ask the simulator for its parameters, and start it if it is paused."""
         self.wait_until(self.simulator.services_are_ready)
@@ -91,16 +106,14 @@ class ExternalController(Node):
             raise ControllerError(f"command_interface is {interface}", where=self.p["simulator"],
                                   expected="voltage")
         self.wait_until(lambda: self.publisher.get_subscription_count() > 0)
-        pid = Pid(self.gains, self.period, limit=limit)
-        pid.update(0.0, (0.0,) * 3, (0.0,) * 3)  # numba compiles it at its first use
-        pid.reset()
-        self.pid = pid
+        self.controller = make_controller(self.p["controller"], self.arm, self.settings,
+                                          self.period, limit, setpoint_period=self.period)
         if paused:
             self.answer(self.simulator.set_parameters, [Parameter("paused", value=False)])
 
     def on_state(self, message: JointState) -> None:
         """Answer a state with a command."""
-        if self.pid is None or self.done:
+        if self.controller is None or self.done:
             return
         self.heard_at = time.monotonic()
         time_ns = stamp_ns(message.header.stamp)
@@ -133,7 +146,7 @@ class ExternalController(Node):
         # by time, not by counting: a state that never came leaves no offset
         place = min(round((t - self.start) / self.period), len(self.setpoints) - 1)
         setpoint = tuple(self.setpoints[place].tolist())
-        volts = self.pid.update(t, setpoint, position)
+        volts = self.controller.update(t, setpoint, position)
         self.rows.append((t, volts, setpoint, tuple(position)))
         return volts
 

@@ -248,8 +248,8 @@ def _servo(values: Mapping[str, Any]) -> ServoConfig:
     # ROS has no way to write infinity on a command line
     columns["integral_time"] = [t if t != 0.0 else inf for t in columns["integral_time"]]
     return ServoConfig(
-        gains=tuple(_named(f"servo' of joint '{joint}", PidGains, *row) for joint, row in
-                    zip(values["joints"], zip(*(columns[name] for name in names)))),
+        gains=tuple(_named(f"servo' of joint '{joint}", PidGains, *row)
+                    for joint, row in enumerate(zip(*columns.values()), start=1)),
         amplifier_gain=values["servo.amplifier_gain"],
         converter_bits=values["servo.converter_bits"] or None,
         encoder_counts=values["servo.encoder_counts"] or None,

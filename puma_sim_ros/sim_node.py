@@ -64,9 +64,7 @@ class SimNode(Node):
             self.get_logger().warning(f"parameter '{name}': this node has none of that name")
         self._plant = node_parameters.build_plant(self._values)
         self._config = node_parameters.build_config(self._values, self._plant)
-        # a step of a session that is thrown away: the kernel is compiled before time runs
-        with contextlib.suppress(NonFiniteStateError):
-            Session(self._config).step()
+        _warm_up(self._config)
         self._session = Session(self._config)
         self._paused = self._values["paused"]
         self._lockstep = self._values["mode"] == "lockstep"
@@ -177,6 +175,8 @@ class SimNode(Node):
             response.success, response.message = False, str(error)
             return response
         changed = config != self._config
+        if changed:
+            _warm_up(config)
         self._config, self._session = config, session
         self._commands.clear()
         self._failed_step = None
@@ -318,6 +318,12 @@ class SimNode(Node):
         if self._lockstep:
             return self._where()
         return f"{self._where()}; {self._pacer.summary()}"
+
+
+def _warm_up(config: SessionConfig) -> None:
+    """A step of a session that is thrown away: what it needs is compiled before time runs."""
+    with contextlib.suppress(NonFiniteStateError):
+        Session(config).step()
 
 
 def _texts(config: SessionConfig) -> tuple[str, str]:

@@ -207,8 +207,18 @@ PARAMETERS = {
     "frame_id": ParameterType.PARAMETER_STRING,
     "bag_path": ParameterType.PARAMETER_STRING,
     "paused": ParameterType.PARAMETER_BOOL,
+    "controller": ParameterType.PARAMETER_STRING,
+    "controllers_file": ParameterType.PARAMETER_STRING,
+    "servo.gain": ParameterType.PARAMETER_DOUBLE_ARRAY,
+    "servo.integral_time": ParameterType.PARAMETER_DOUBLE_ARRAY,
+    "servo.derivative_time": ParameterType.PARAMETER_DOUBLE_ARRAY,
+    "servo.derivative_on_measurement": ParameterType.PARAMETER_BOOL,
+    "servo.amplifier_gain": ParameterType.PARAMETER_DOUBLE,
+    "servo.converter_bits": ParameterType.PARAMETER_INTEGER,
+    "servo.encoder_counts": ParameterType.PARAMETER_INTEGER,
 }
-CHANGEABLE = {"real_time_factor", "voltage_limit", "command_timeout", "initial_position", "paused"}
+CHANGEABLE = {"real_time_factor", "voltage_limit", "command_timeout", "initial_position", "paused",
+              *(name for name in PARAMETERS if name.startswith(("controller", "servo.")))}
 
 
 def test_parameters_are_described(peer):
@@ -233,6 +243,15 @@ def test_parameters_are_described(peer):
     ("command_timeout", math.nan, "range"),
     ("initial_position", [0.0, 0.0], "three finite numbers"),
     ("initial_position", [0.0, math.nan, 0.0], "three finite numbers"),
+    ("controller", "scheduled", "command_interface position"),
+    ("controllers_file", "gains.yaml", "given with controller pid"),
+    ("servo.gain", [1.0, 2.0], "three numbers, one for each joint"),
+    ("servo.gain", [1.0, -2.0, 3.0], "gain = -2.0"),
+    ("servo.derivative_time", [1.0, math.nan, 3.0], "derivative_time = nan"),
+    ("servo.converter_bits", 33, "range"),
+    ("servo.converter_bits", 1, "from 2 to 32"),
+    ("servo.encoder_counts", -1, "range"),
+    ("servo.amplifier_gain", 0.0, "range"),
     ("use_sim_time", True, "source of simulated time"),
 ])
 def test_change_of_a_parameter_that_is_refused(peer, name, value, reason):

@@ -35,6 +35,8 @@ from ..plant import Plant
 from .reference import SetpointReference
 
 _rigid_body = interpreted(rigid_body)
+#: share of the speed at which the back-EMF takes all of the voltage limit
+_REACHABLE = 0.9
 BACK_EMF = ("measured", "reference")
 _KEYS = ("bandwidth", "velocity_filter", "greatest_velocity", "greatest_acceleration", "lead",
          "back_emf")
@@ -93,7 +95,8 @@ class ComputedTorque:
     bandwidth : (3,) [rad/s], where the three poles of each joint are.
     velocity_filter : [rad/s], inf for none.
     greatest_velocity (3,) [rad/s], greatest_acceleration (3,) [rad/s^2], lead : of the
-        reference, see `reference`.
+        reference, see `reference`; the velocities at most 0.9 of what the limit lets the motors
+        reach.
     back_emf : "measured" or "reference".
     setpoint_period : time between setpoints [s], a whole number of periods.
     limit : greatest magnitude of a motor voltage [V].
@@ -130,7 +133,11 @@ class ComputedTorque:
         self.period = float(period)
         self.limit = float(limit)
         self.dynamics = InverseDynamics(model)
-        self.reference = SetpointReference(samples, setpoint_period, greatest_velocity,
+        # faster than a motor can turn the reference would run away from the arm
+        reachable = [_REACHABLE * limit / e for e in self.dynamics.back_emf]
+        velocity = [min(v, w) for v, w in zip(greatest_velocity, reachable)] \
+            if len(greatest_velocity) == 3 else greatest_velocity
+        self.reference = SetpointReference(samples, setpoint_period, velocity,
                                            greatest_acceleration, lead)
         self._bandwidth = tuple(float(b) for b in bandwidth)
         self._measured = back_emf == "measured"

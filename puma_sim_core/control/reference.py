@@ -9,8 +9,8 @@ Setpoints come one each 28 ms and are not known in advance. Three stages make a 
 2. A quadratic B-spline through three successive points p0, p1, p2 that are T apart, u = 0 to 1
    in each period: ``r = [(1 - u)^2 p0 + (1 + 2u - 2u^2) p1 + u^2 p2] / 2``, whose velocity is
    continuous and whose acceleration is the second difference over T^2. It is 1.5 T late.
-3. Lead. ``r + c r' + c^2/2 r''`` and its derivative with c = 1.5 T make up for that: a path of
-   constant acceleration is followed without delay. While the bounds hold the path back there is
+3. Lead. ``r + c r' + (c^2/2 - T^2/8) r''`` and its derivative with c = 1.5 T make up for that: a
+   path of constant acceleration is followed exactly. While the bounds hold the path back there is
    nothing to be in time for, and a lead would only overshoot where it brakes: c is then taken
    away, and given back within eight periods.
 """
@@ -93,8 +93,10 @@ class SetpointReference:
         before, after = joint.shares
         c = self._lead * (before + u * (after - before))
         slope = self._lead * (after - before) / T
-        return (position + c * velocity + 0.5 * c * c * acceleration,
-                velocity + c * acceleration + slope * (velocity + c * acceleration), acceleration)
+        # the spline of a parabola lies T^2/8 of its second derivative beside it: c T / 12
+        return (position + c * velocity + (0.5 * c - T / 12.0) * c * acceleration,
+                velocity + c * acceleration
+                + slope * (velocity + (c - T / 12.0) * acceleration), acceleration)
 
 
 class _Bounded:

@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""Setpoints as VAL gives them: one for each joint and period, along a straight line of the wrist."""
+"""Setpoints as VAL gives them, one for each joint and period: along a straight line of the wrist,
+or of the joints by steps, ramps and smooth moves."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from math import ceil, isfinite
 
 import numpy as np
@@ -23,6 +26,97 @@ def smooth_share(tau):
     return tau ** 3 * (10.0 + tau * (6.0 * tau - 15.0))
 
 
+SHAPES = ("step", "ramp", "quintic")
+#: greatest slope and curvature of `smooth_share`
+_SLOPE, _CURVATURE = 1.875, 10.0 / 3.0 ** 0.5
+
+
+@dataclass(frozen=True)
+class Move:
+    """One move of the joints.
+
+    start : when it begins [s]; duration [s], 0 for a step; by : (3,) how far [rad];
+    shape : "step", "ramp" (constant velocity, as in the thesis's tests) or "quintic" (smooth).
+
+    Raises
+    ------
+    ParameterError : a shape, times or distances that cannot be.
+    """
+
+    start: float
+    duration: float
+    by: Sequence[float]
+    shape: str = "quintic"
+
+    def __post_init__(self):
+        if self.shape not in SHAPES:
+            raise ParameterError(f"shape '{self.shape}'", where="move",
+                                 expected=" or ".join(SHAPES))
+        by = np.asarray(self.by, dtype=float)
+        if by.shape != (3,) or not np.isfinite(by).all():
+            raise ParameterError(f"by = {self.by!r}", where="move", expected="three finite numbers")
+        good = self.duration == 0.0 if self.shape == "step" else self.duration > 0.0
+        if not (isfinite(self.start) and isfinite(self.duration) and good):
+            raise ParameterError(f"{self.shape} at {self.start!r} s for {self.duration!r} s",
+                                 where="move", expected="times [s]: 0 for a step, else positive")
+
+    def at(self, time) -> np.ndarray:
+        """(n, 3) what it adds at times (n,) [s]."""
+        time = np.asarray(time, dtype=float)
+        # a step at a setpoint's own time is in that setpoint, whatever the rounding of times
+        since = time - self.start
+        if self.shape == "step":
+            share = (since >= -1e-9) * 1.0
+        else:
+            share = np.clip(since / self.duration, 0.0, 1.0)
+            share = smooth_share(share) if self.shape == "quintic" else share
+        return share[:, None] * np.asarray(self.by, dtype=float)
+
+
+def joint_path(start, moves: Sequence[Move], time) -> np.ndarray:
+    """(n, 3) joint angles [rad] at times (n,) [s]: start (3,) and all moves."""
+    return np.asarray(start, dtype=float) + sum((move.at(time) for move in moves),
+                                                np.zeros((len(time), 3)))
+
+
+def joint_setpoints(start, moves: Sequence[Move], duration: float,
+                    period: float = 0.028) -> tuple[np.ndarray, np.ndarray]:
+    """(time (n,) [s], setpoint (n, 3) [rad]) of `joint_path`, one each period, over `duration`.
+
+    Raises
+    ------
+    ParameterError : times that are not positive.
+    """
+    _check_times(duration, period)
+    time = period * np.arange(ceil(duration / period - 1e-9) + 1)
+    return time, joint_path(start, moves, time)
+
+
+def quintic_duration(by, velocity, acceleration) -> float:
+    """Shortest duration [s] of a quintic move within bounds of each joint.
+
+    by : (3,) [rad]; velocity : (3,) [rad/s]; acceleration : (3,) [rad/s^2].
+
+    Raises
+    ------
+    ParameterError : bounds that are not positive, or no move at all.
+    """
+    by, velocity, acceleration = (np.abs(np.asarray(v, dtype=float))
+                                  for v in (by, velocity, acceleration))
+    if not (velocity > 0.0).all() or not (acceleration > 0.0).all() or not by.any():
+        raise ParameterError(f"by {by.tolist()} with velocity {velocity.tolist()} and acceleration "
+                             f"{acceleration.tolist()}", where="quintic move",
+                             expected="a move, and positive bounds")
+    return float(max((_SLOPE * by / velocity).max(),
+                     np.sqrt(_CURVATURE * by / acceleration).max()))
+
+
+def _check_times(duration, period) -> None:
+    for name, value in (("duration", duration), ("period", period)):
+        if not (isfinite(value) and value > 0.0):
+            raise ParameterError(f"{name} = {value!r} s", expected="a positive number")
+
+
 def straight_line(arm: ArmParameters, start, displacement, duration: float,
                   period: float = 0.028) -> tuple[np.ndarray, np.ndarray]:
     """Setpoints that move the wrist along a straight line.
@@ -39,9 +133,7 @@ def straight_line(arm: ArmParameters, start, displacement, duration: float,
     ParameterError : times that are not positive, or a line that leaves the reach or the range of
         a joint; names the joint and the height.
     """
-    for name, value in (("duration", duration), ("period", period)):
-        if not (isfinite(value) and value > 0.0):
-            raise ParameterError(f"{name} = {value!r} s", expected="a positive number")
+    _check_times(duration, period)
     start = np.asarray(start, dtype=float)
     displacement = np.asarray(displacement, dtype=float)
     time = period * np.arange(ceil(duration / period - 1e-9) + 1)

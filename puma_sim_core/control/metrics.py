@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""How good a control was: overshoot, rise and settling of a step, errors, volts, saturation."""
+
+from __future__ import annotations
+
+from math import inf, isfinite
+from typing import NamedTuple
+
+import numpy as np
+
+from ..errors import ParameterError
+from ..recording import Recording
+
+
+class StepQuality(NamedTuple):
+    """What a step response tells.
+
+    overshoot : greatest excess over the end, as a share of the step; 0.0 without one.
+    rise_time : from 10 to 90 % of the step [s]; inf where 90 % are not reached.
+    settling_time : from the step to where the response stays within the band [s]; inf where it is
+        not within at the end of the record.
+    """
+
+    overshoot: float
+    rise_time: float
+    settling_time: float
+
+
+def step_quality(time, response, start: float, end: float, *, at: float | None = None,
+                 band: float = 0.02) -> StepQuality:
+    """Quality of a response to a step from `start` to `end`.
+
+    time (n,) [s], increasing; response (n,), of the unit of start and end; at : when the step is
+    [s], by default at time[0]; band : half-width of the settled band as a share of the step.
+    Crossings are taken between samples by a straight line.
+
+    Raises
+    ------
+    ParameterError : no step, no samples behind it, or values that are not finite.
+    """
+    time, response = np.asarray(time, dtype=float), np.asarray(response, dtype=float)
+    where = "step response"
+    if time.ndim != 1 or time.shape != response.shape or len(time) < 2 \
+            or not (np.diff(time) > 0.0).all():
+        raise ParameterError(f"time of shape {time.shape}, response of shape {response.shape}",
+                             where=where, expected="two equal, (n,), with increasing times")
+    if not (np.isfinite(time).all() and np.isfinite(response).all()
+            and isfinite(start) and isfinite(end)):
+        raise ParameterError("values that are not finite", where=where, expected="finite numbers")
+    # a step of rounding is none
+    if abs(end - start) <= 1e-12 * max(abs(start), abs(end), 1e-300):
+        raise ParameterError(f"from {start:.6g} to {end:.6g}: there is no step", where=where,
+                             expected="a start and an end that differ")
+    if not 0.0 < band < 1.0:
+        raise ParameterError(f"band {band!r}", where=where, expected="between 0 and 1")
+    at = float(time[0]) if at is None else at
+    after = time >= at - 1e-9
+    if after.sum() < 2:
+        raise ParameterError(f"no samples after {at:.6g} s", where=where,
+                             expected="a step within the record")
+    t, y = time[after], (response[after] - start) / (end - start)
+    low, high = _first_above(t, y, 0.1), _first_above(t, y, 0.9)
+    outside = np.flatnonzero(np.abs(y - 1.0) > band)
+    if not outside.size:
+        settled = 0.0
+    elif outside[-1] == len(y) - 1:
+        settled = inf
+    else:
+        k = int(outside[-1])
+        edge = 1.0 + band if y[k] > 1.0 else 1.0 - band
+        settled = float(t[k] + (edge - y[k]) / (y[k + 1] - y[k]) * (t[k + 1] - t[k])) - at
+    return StepQuality(max(float(y.max()) - 1.0, 0.0), high - low if high < inf else inf, settled)
+
+
+def _first_above(t, y, level: float) -> float:
+    reached = np.flatnonzero(y >= level)
+    if not reached.size:
+        return inf
+    k = int(reached[0])
+    if k == 0:
+        return float(t[0])
+    return float(t[k - 1] + (level - y[k - 1]) / (y[k] - y[k - 1]) * (t[k] - t[k - 1]))
+
+
+def setpoint_step(recording: Recording, joint: int) -> tuple[float, float, float]:
+    """(time [s], from, to [rad]) of the one step in the setpoint of a joint, 1 to 3.
+
+    Raises
+    ------
+    ParameterError : no setpoints, no step, or more than one change.
+    """
+    if recording.setpoint is None:
+        raise ParameterError("a recording without setpoints", where="step response",
+                             expected="setpoint1..3")
+    values = recording.setpoint[:, joint - 1]
+    changes = np.flatnonzero(np.diff(values))
+    if changes.size != 1:
+        raise ParameterError(f"the setpoint of joint {joint} changes {changes.size} times",
+                             where="step response", expected="one step")
+    k = int(changes[0])
+    return float(recording.time[k + 1]), float(values[k]), float(values[k + 1])
+
+
+def joint_step_quality(recording: Recording, joint: int, band: float = 0.02) -> StepQuality:
+    """`step_quality` of a joint, 1 to 3, whose setpoint steps once; raises ParameterError."""
+    at, start, end = setpoint_step(recording, joint)
+    return step_quality(recording.time, recording.position[:, joint - 1], start, end, at=at,
+                        band=band)
+
+
+class TrackingError(NamedTuple):
+    """rms and worst (greatest magnitude) of position less path, (3,) [rad]."""
+
+    rms: np.ndarray
+    worst: np.ndarray
+
+
+def tracking_error(recording: Recording, path=None) -> TrackingError:
+    """Errors over a recording; path : (n, 3) [rad] at its times, by default the held setpoints.
+
+    Samples must be evenly spaced for the rms to be one over time.
+
+    Raises
+    ------
+    ParameterError : no positions, nothing to compare with, or another shape.
+    """
+    path = recording.setpoint if path is None else np.asarray(path, dtype=float)
+    if recording.position is None or path is None or path.shape != recording.position.shape:
+        raise ParameterError("no path beside the positions", where="tracking error",
+                             expected="positions and a path, both (n, 3)")
+    error = recording.position - path
+    return TrackingError(np.sqrt((error ** 2).mean(axis=0)), np.abs(error).max(axis=0))
+
+
+class Effort(NamedTuple):
+    """rms : of the voltage (3,) [V]; saturated : share of the time at the limit (3,)."""
+
+    rms: np.ndarray
+    saturated: np.ndarray
+
+
+def effort(recording: Recording, voltage_limit: float, within: float = 1e-6) -> Effort:
+    """Volts of a recording, weighted by how long each row is held; the last row is held by nobody.
+
+    voltage_limit [V], inf for none; within : distance from it that counts as at it, as a share of
+    it (a converter of n bits ends 2^(1-n) of it below its limit).
+
+    Raises
+    ------
+    ParameterError : no voltages, a single row, or a limit that is not positive.
+    """
+    if recording.voltage is None or len(recording) < 2:
+        raise ParameterError("no voltages", where="effort", expected="two rows at least")
+    if not voltage_limit > 0.0:
+        raise ParameterError(f"voltage_limit {voltage_limit!r} V", where="effort",
+                             expected="a positive number")
+    held = np.diff(recording.time)
+    volts = recording.voltage[:-1]
+    share = held / held.sum()
+    return Effort(np.sqrt(share @ volts ** 2),
+                  share @ (np.abs(volts) >= (1.0 - within) * voltage_limit))
