@@ -22,7 +22,7 @@ from .closed_loop import ControlLoop
 from .control.controllers import load_settings, make_controller
 from .control.pid import Pid
 from .control.servo import ServoConfig
-from .errors import CommandError, ModelError, NonFiniteStateError, ParameterError
+from .errors import CommandError, ModelError, NonFiniteStateError, ParameterError, PumaSimError
 from .plant import Plant
 from .runs import run_servo, run_voltages, servo_memory, terminal_voltages
 from .simulator import check_step, native, three
@@ -328,6 +328,8 @@ class Session:
                 bad, row, voltage = self._step_servo()
             else:
                 bad, row, voltage = self._step_controller()
+        except PumaSimError:
+            raise
         except (OverflowError, ValueError, ZeroDivisionError):
             bad, row, voltage = 1, None, _NOTHING
         step = self.state.step + 1
