@@ -121,22 +121,24 @@ def without_stages(task: Task):
     body, drive, _, table = task.plant.constants
 
     @compiled
-    def run_bare(x, z, volts, h, body, drive, p, out):
+    def run_bare(x, z, volts, counts, steps, body, drive, p, out):
         store(out, 0, x, z)
         for r in range(len(volts)):
             v = (terminal_voltage(0, volts[r][0], p), terminal_voltage(1, volts[r][1], p),
                  terminal_voltage(2, volts[r][2], p))
-            x, z = advance(x, z, v, h, 1, body, drive, 0, p, FREE)
+            x, z = advance(x, z, v, steps[r], counts[r], body, drive, 0, p, FREE)
             if not is_finite(x):
                 return r + 1
             store(out, r + 1, x, z)
         return -1
 
     out = np.empty((task.steps + 1, 12))
+    # rows of any length, as in the kernel: a constant step would be a gain of its own
+    counts, steps = np.ones(task.steps, dtype=np.int64), np.full(task.steps, STEP)
     state, p = tuple(task.state.tolist()), native(table)
 
     def run():
-        run_bare(state, STILL, task.voltages, STEP, body, drive, p, out)
+        run_bare(state, STILL, task.voltages, counts, steps, body, drive, p, out)
         return out[-1, :3].copy()
 
     return run
