@@ -10,7 +10,7 @@ A run stops at the first state that is not finite and returns its row, or -1.
 from __future__ import annotations
 
 from . import effects as _registry
-from .backend import compiled, inlined
+from .backend import compiled, inlined, outlined
 from .contact import contact, contact_step
 from .control.servo import MEMORY_WIDTH, SERVO_WIDTH, delayed, servo_at_rest, servo_sample
 from .effects.amplifier import SATURATION, saturated
@@ -67,6 +67,21 @@ def store(out, r, x, z):
         out[r, 9 + j] = z[j]
 
 
+@outlined
+def run_plain(x, z, volts, counts, steps, body, drive, p, out):
+    """`run_voltages` for a plant that needs no stage, in a loop that has nothing else in it."""
+    store(out, 0, x, z)
+    for r in range(len(counts)):
+        v = (terminal_voltage(0, volts[r][0], p), terminal_voltage(1, volts[r][1], p),
+             terminal_voltage(2, volts[r][2], p))
+        for _ in range(counts[r]):
+            x, z = rk4_step(x, z, v, steps[r], body, drive, 0, p, FREE, NO_SLIP)
+        if not is_finite(x):
+            return r + 1
+        store(out, r + 1, x, z)
+    return -1
+
+
 @compiled
 def run_voltages(x, z, volts, counts, steps, body, drive, active, p, lock, out):
     """Run with voltages held row by row.
@@ -75,6 +90,8 @@ def run_voltages(x, z, volts, counts, steps, body, drive, active, p, lock, out):
     whose row r is the state at the start of row r. Returns the first row that is not finite,
     or -1.
     """
+    if active == 0:
+        return run_plain(x, z, volts, counts, steps, body, drive, p, out)
     store(out, 0, x, z)
     for r in range(len(counts)):
         v = (terminal_voltage(0, volts[r][0], p), terminal_voltage(1, volts[r][1], p),
