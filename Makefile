@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-# `make run` and `make test` do all of their set-up in $(VENV); `make help` lists the rest.
+# `make run`, `make loop` and `make test` do all of their set-up in $(VENV); `make help` lists all.
 
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
@@ -15,6 +15,7 @@ PYTHON ?=
 NUMPY ?=
 TEST_TIMEOUT ?= 180
 PYTEST_ARGS ?=
+LOOP_ARGS ?=
 
 # A sourced ROS installation and the wheels of rclpy in $(VENV) must not mix: neither its modules
 # and libraries, nor a middleware that the wheels do not have. ROS_DOMAIN_ID stays the user's.
@@ -33,10 +34,11 @@ INSTALLED := $(VENV)/.installed$(if $(NUMPY),-numpy-$(NUMPY))
 CANDIDATES := python3.12 python3.11 python3 python3.13 python3.10
 SUITABLE := import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 10))
 
-.PHONY: help run test bench colcon js-readers clean distclean same-python
+.PHONY: help run loop test bench colcon js-readers clean distclean same-python
 
 help:
 	@echo "make run         move the simulated arm down a vertical line over ROS 2, record, replay"
+	@echo "make loop        record a session with a hidden effect, and find and name it from the bag"
 	@echo "make test        run the tests"
 	@echo "make bench       speed beside other simulators (in its own environment, $(BENCH_VENV))"
 	@echo "make colcon      build with colcon, run the installed node with an external controller"
@@ -45,6 +47,7 @@ help:
 	@echo
 	@echo "PYTHON=python3.11  the interpreter to use    NUMPY=1.26  hold NumPy to that release"
 	@echo "VENV=.venv311      another environment       PYTEST_ARGS='-k bag'  passed on to pytest"
+	@echo "LOOP_ARGS='--effect payload:mass=2,z=0.1'    another effect for make loop to hide"
 
 # $(1): the folder of the environment
 define make_venv
@@ -104,6 +107,9 @@ $(INSTALLED): $(VENV)/.created setup.py pyproject.toml
 
 run: $(INSTALLED)
 	@$(BIN)/python -m puma_sim_ros.demo --out build/demo
+
+loop: $(INSTALLED)
+	@$(BIN)/python -m puma_sim_ros.loop_demo --out build/loop $(LOOP_ARGS)
 
 test: $(INSTALLED)
 	@if [ -d build/js/node_modules ]; then \

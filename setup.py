@@ -19,7 +19,8 @@ VERSION = re.search(
 
 README = ROOT / "README.md"
 
-CONFIG_FILES = sorted((ROOT / "config").rglob("*.yaml"))
+CONFIG_FILES = sorted(
+    path for path in (ROOT / "config").rglob("*") if path.suffix in (".yaml", ".json"))
 
 
 def _share_files():
@@ -76,6 +77,7 @@ setup(
             "pytest",
             "pytest-timeout",
             "hypothesis",
+            "jsonschema",
             "matplotlib",
             "mcap-ros2-support",
             "mujoco>=3.7",

@@ -19,8 +19,9 @@ from .errors import ParameterError
 
 _PACKAGE = Path(__file__).resolve().parent
 #: what the compiled kernel is made of; a change of any of them makes an older cache void
-_SOURCES = ("backend.py", "kernel.py", "contact.py", "runs.py", "lanes.py", "effects",
-            "control/pid.py", "control/servo.py")
+_SOURCES = ("backend.py", "kernel.py", "circuit.py", "joint_torques.py", "contact.py", "runs.py",
+            "lanes.py", "timed.py", "sensed.py", "two_mass.py", "two_mass_runs.py", "tracking.py",
+            "known_effects.py", "effects", "control/pid.py", "control/servo.py")
 
 
 def _choose() -> str:
@@ -96,6 +97,11 @@ if BACKEND == "numba":
         """Compile as a function of its own that compiled callers call."""
         return numba.njit(function, nogil=True, error_model="numpy")
 
+    def merged(function):
+        """Put the source into its callers: for a large function that calls much, since each level
+        of calls has all code below it optimised once more."""
+        return numba.njit(function, nogil=True, error_model="numpy", inline="always")
+
     def compiled(function):
         """Compile as an entry that Python calls, kept on disk."""
         return _jit(function)
@@ -107,6 +113,10 @@ else:
         return function
 
     def outlined(function):
+        """The function as it is."""
+        return function
+
+    def merged(function):
         """The function as it is."""
         return function
 

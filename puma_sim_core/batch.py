@@ -68,6 +68,8 @@ def run_batch(plants: Plant | Sequence[Plant], time, voltage, *, position=(0.0, 
     start = np.hstack([np.broadcast_to(a, (m, 3)) for a in starts])
     if not np.isfinite(start).all():
         raise ParameterError("initial states that are not finite", expected="finite numbers")
+    if any(plant.joints != 3 for plant in ([plants] if isinstance(plants, Plant) else plants)):
+        raise ParameterError("a plant of one joint in a batch", expected="arms of three joints")
     all_plants = [plants] * m if isinstance(plants, Plant) else list(plants) * (m // len(plants))
     jobs = _Jobs(all_plants, time, volts, start, max_step)
     parts = jobs.parts(lanes and BACKEND == "numba")

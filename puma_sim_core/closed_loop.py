@@ -5,7 +5,8 @@
 A controller has an attribute ``period`` [s], its stated rate, and the methods ``reset()`` and
 ``update(t, setpoint, measurement)``, which gets three setpoints and three measured positions [rad]
 and gives three voltages [V]. Around it stands the chain of the digital servo: encoder counts
-before it; its own limit, the converter, the amplifier and the delay behind it. With the PID
+before it; its own limit, the converter, the amplifier and the delay behind it. The positions that
+it gets are the measured ones, with the plant's effects of sensing in them. With the PID
 controller in it the loop gives the same bits as the servo that is compiled into the kernel.
 """
 
@@ -19,8 +20,11 @@ import numpy as np
 
 from .backend import BACKEND, interpreted
 from .control.servo import SERVO_WIDTH, ServoConfig, quantised
+from .delay import SampledDelay
+from .effects import SENSED
 from .errors import ParameterError
-from .runs import run_voltages, terminal_voltages
+from .runs import ROW, WIDE, WIDE_ROW
+from .two_mass_runs import run_voltages
 
 _quantised = interpreted(quantised)
 
@@ -62,6 +66,8 @@ class ControlLoop:
     sample : time between samples [s]; steps : steps of integration in each.
     voltage_limit : at the motor [V]; gear_ratios : of the three joints, for the encoders.
     kernel : (body, drive, active, table, lock), as the kernel takes them.
+
+    ``late`` is the plant's `input_delay`, None without one.
     """
 
     def __init__(self, controller: Controller, chain: ServoConfig, sample: float, steps: int,
@@ -73,11 +79,10 @@ class ControlLoop:
         self._encoder_steps = table[4::SERVO_WIDTH]
         self._sample = sample
         self._kernel = kernel
-        compiled = BACKEND == "numba"
-        self._counts = np.array([steps]) if compiled else [steps]
-        self._steps = np.array([sample / steps]) if compiled else [sample / steps]
-        self._row = np.zeros((1, 3)) if compiled else [[0.0, 0.0, 0.0]]
-        self._out = np.empty((2, 12))
+        self._rows = HeldRows(1, WIDE_ROW if kernel[2] & WIDE else ROW)
+        self._pieces = HeldRows(2, WIDE_ROW if kernel[2] & WIDE else ROW)
+        self._count, self._step = steps, sample / steps
+        self.late: SampledDelay | None = None
         self.reset()
 
     def reset(self, held_voltage=(0.0, 0.0, 0.0)) -> None:
@@ -85,31 +90,34 @@ class ControlLoop:
         self.controller.reset()
         self._late = [tuple(float(v) for v in held_voltage)] * self._delay
 
-    def run(self, x, z, setpoints, samples: int, start: float, out, volts) -> int:
-        """Run from state x and bristles z; each row of setpoints (n, 3) [rad] acts for `samples`.
+    def run(self, x, z, m, setpoints, samples: int, start: float, out, volts) -> int:
+        """Run from x, z and m (see `runs`); each row of setpoints (n, 3) [rad] acts for `samples`.
 
-        start : time of the first sample [s]. Fills out (n * samples + 1, 12), a row a sample, and
-        volts (n * samples, 3) at the motors. Returns the first row of `out` that is not finite,
-        or -1.
+        start : time of the first sample [s]. Fills out (n * samples + 1, ROW or WIDE_ROW), a row a
+        sample, and volts (n * samples, 3) as asked for. Returns the first row of `out` that is not
+        finite, or -1.
         """
-        out[0, :9], out[0, 9:] = x, z
-        row = 0
+        out[0, :12] = *x, *z[:3]
+        if out.shape[1] > ROW:
+            out[0, ROW:] = *m, *z[3:]
+        sensed, row = self._kernel[2] & SENSED, 0
         for setpoint in setpoints:
             setpoint = tuple(float(value) for value in setpoint)
             for _ in range(samples):
-                asked = self._voltages(start + self._sample * row, setpoint, x)
-                if asked is None or self._advance(x, z, asked):
+                asked = self._voltages(start + self._sample * row, setpoint, m if sensed else x)
+                time = start + row * (self._count * self._step)
+                end = None if asked is None else self._advance(x, z, m, time, asked)
+                if end is None:
                     return row + 1
-                volts[row] = terminal_voltages(*asked, self._kernel[3])
+                volts[row] = asked
                 row += 1
-                out[row] = self._out[1]
-                values = tuple(self._out[1].tolist())
-                x, z = values[:9], values[9:]
+                out[row] = end
+                x, z, m = unpacked(end)
         return -1
 
-    def _voltages(self, t, setpoint, x):
+    def _voltages(self, t, setpoint, seen):
         """Commanded motor voltages [V], or None where the controller's are not finite."""
-        measured = tuple(_quantised(q, step) for q, step in zip(x, self._encoder_steps))
+        measured = tuple(_quantised(q, step) for q, step in zip(seen, self._encoder_steps))
         asked = tuple(self.controller.update(t, setpoint, measured))
         if len(asked) != 3:
             raise ParameterError(f"{len(asked)} voltages", where="controller", expected="three")
@@ -129,13 +137,47 @@ class ControlLoop:
             u = min(u, limit - step)
         return u * self._amplifier
 
-    def _advance(self, x, z, volts) -> bool:
-        """One sample with the voltages held; whether it failed to stay finite."""
-        row = self._row[0]
-        row[0], row[1], row[2] = volts
+    def _advance(self, x, z, m, time, volts):
+        """The row at the end of one sample with the voltages held; None where it is not finite."""
+        if self.late is None:
+            return self._rows.run(x, z, m, time, [volts], [self._count], [self._step],
+                                  self._kernel)
+        return self._pieces.run(x, z, m, time, self.late.take(volts), self.late.counts,
+                                self.late.steps, self._kernel)
+
+
+class HeldRows:
+    """A few rows of voltages at a time through `runs.run_voltages`, for callers that go on after
+    each; width : numbers of a row of its output."""
+
+    def __init__(self, rows: int, width: int):
+        compiled = BACKEND == "numba"
+        self._volts = np.zeros((rows, 3)) if compiled else [[0.0] * 3 for _ in range(rows)]
+        self._times = np.zeros(rows) if compiled else [0.0] * rows
+        self._counts = np.zeros(rows, dtype=np.int64) if compiled else [0] * rows
+        self._steps = np.zeros(rows) if compiled else [0.0] * rows
+        self._out = np.empty((rows + 1, width))
+
+    def run(self, x, z, m, time, volts, counts, steps, kernel):
+        """The row at the end, or None where the state is not finite. volts: triples [V], each held
+        for `counts` steps of `steps` seconds."""
+        for r, row in enumerate(volts):
+            for j in range(3):
+                self._volts[r][j] = row[j]
+            self._times[r], self._counts[r], self._steps[r] = time, counts[r], steps[r]
+            time += counts[r] * steps[r]
         try:
-            return run_voltages(x, z, self._row, self._counts, self._steps, *self._kernel,
-                                self._out) >= 0
+            bad = run_voltages(x, z, m, self._volts, self._times, self._counts, self._steps,
+                               *kernel, self._out)
         except (OverflowError, ValueError, ZeroDivisionError):
             # plain Python tells some numbers that are not finite by an exception
-            return True
+            return None
+        return None if bad >= 0 else self._out[-1]
+
+
+def unpacked(row) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
+    """x, z and m (see `runs`) of a row of a run's output."""
+    values = tuple(row.tolist())
+    if len(values) == ROW:
+        return values[:9], (*values[9:], *values[:6]), values[:3]
+    return values[:9], (*values[9:12], *values[15:]), values[12:15]

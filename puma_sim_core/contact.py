@@ -13,9 +13,12 @@ step goes on from there with new states. So the order of the Runge-Kutta step su
 
 from __future__ import annotations
 
-from .backend import inlined, outlined
-from .kernel import (DRY, LOCKED, STILL, VARYING, constant_level, effect_torques, has_bristle,
-                     library_trigonometry, remove_rows, rigid_body, rk4_step, sliding_level, solve)
+from .backend import inlined, merged, outlined
+from .circuit import ALGEBRAIC, settled_state
+from .effects import DRY, VARYING
+from .joint_torques import (constant_level, effect_torques, gravity_torques, has_bristle, has_dry,
+                            sliding_level)
+from .kernel import LOCKED, STILL, library_trigonometry, remove_rows, rigid_body, rk4_step, solve
 
 #: changes of contact that are located inside one step; more than that is chatter, see below
 _CHANGES = 12
@@ -33,18 +36,12 @@ def slip_direction(j, locked, w, p):
 
 
 @inlined
-def sliding(s1, s2, s3, p):
-    """The kernel's `slip` for the three directions."""
+def sliding(s1, s2, s3, p, push):
+    """The kernel's `slip` for the three directions, and for torques [N.m] that push the joints."""
     return (s1, s2, s3,
-            s1 * constant_level(0, s1, p) if s1 != 0.0 else 0.0,
-            s2 * constant_level(1, s2, p) if s2 != 0.0 else 0.0,
-            s3 * constant_level(2, s3, p) if s3 != 0.0 else 0.0)
-
-
-@inlined
-def has_dry(j, p):
-    """Whether joint j has dry friction, in one direction at least."""
-    return sliding_level(j, 1.0, 0.0, p) > 0.0 or sliding_level(j, -1.0, 0.0, p) > 0.0
+            (s1 * constant_level(0, s1, p) if s1 != 0.0 else 0.0) - push[0],
+            (s2 * constant_level(1, s2, p) if s2 != 0.0 else 0.0) - push[1],
+            (s3 * constant_level(2, s3, p) if s3 != 0.0 else 0.0) - push[2])
 
 
 @inlined
@@ -58,22 +55,33 @@ def motion(j, locked, w, p):
 
 
 @inlined
-def overload(j, sticks, torque, p):
+def overload(j, sticks, torque, x, weight, p):
     """Torque [N.m] by which a sticking joint is pushed beyond its level; negative while held."""
     if sticks == 0.0:
         return -1.0
     direction = 1.0 if torque > 0.0 else -1.0
-    return abs(torque) - sliding_level(j, direction, 0.0, p)
+    return abs(torque) - sliding_level(j, direction, x[j], weight[j], 0.0, p)
 
 
 @inlined
-def free_system(x, slip, body, drive, active, p):
-    """M and b of the arm with friction on its sliding joints only (see `kernel.rigid_body`)."""
+def free_system(x, z, v, slip, body, drive, active, p):
+    """M and b of the arm with friction on its sliding joints only (see `kernel.rigid_body`).
+
+    z and v are those of a step, for arms that need them (`two_mass.motor_system`).
+    """
     q1, q2, q3, w1, w2, w3, i1, i2, i3 = x
     _, _, _, n1, h1, _, _, _, n2, h2, _, _, _, n3, h3 = drive
+    trig = library_trigonometry(q2, q3)
     t1, t2, t3 = effect_torques(q1, q2, q3, w1, w2, w3, n1 * i1 - h1 * w1, n2 * i2 - h2 * w2,
-                                n3 * i3 - h3 * w3, active, p, slip, STILL)
-    return rigid_body(w1, w2, w3, t1, t2, t3, library_trigonometry(q2, q3), body)
+                                n3 * i3 - h3 * w3, trig, body, active, p, slip, STILL)
+    return rigid_body(w1, w2, w3, t1, t2, t3, trig, body)
+
+
+@inlined
+def weights(x, body):
+    """Gravity torques [N.m] of the three joints on a level base."""
+    G2, G3 = gravity_torques(library_trigonometry(x[1], x[2]), body)
+    return 0.0, G2, G3
 
 
 @inlined
@@ -97,8 +105,16 @@ def trial(digit, may):
 
 
 @inlined
-def contact(x, body, drive, active, p, lock):
+def contact(x, body, drive, active, p, lock, push):
+    """`contact_of` the arm whose links follow their motors."""
+    return contact_of(free_system, x, STILL, STILL, body, drive, active, p, lock, push)
+
+
+@inlined
+def contact_of(system, x, z, v, body, drive, active, p, lock, push):
     """Which joints stick and where the others slide: (lock with sticking joints, slip).
+
+    system : a function like `free_system`; z, v : what it may need.
 
     Each joint at rest either sticks, below its level, or starts in a direction in which it then
     accelerates. Exactly one combination holds for all three together: M is positive definite,
@@ -111,9 +127,11 @@ def contact(x, body, drive, active, p, lock):
     s1, may1 = motion(0, l1, w1, p)
     s2, may2 = motion(1, l2, w2, p)
     s3, may3 = motion(2, l3, w3, p)
-    held, slip = lock, sliding(s1, s2, s3, p)
+    held, slip = lock, sliding(s1, s2, s3, p, push)
     if may1 + may2 + may3 > 0.0:
-        m11, m12, m13, m22, m23, m33, b1, b2, b3 = free_system(x, slip, body, drive, active, p)
+        m11, m12, m13, m22, m23, m33, b1, b2, b3 = system(
+            x, z, v, slip, body, drive, active, p)
+        weight = weights(x, body)
         least = 1e300
         for n in range(27):
             n1, n2, n3 = n % 3, n // 3 % 3, n // 9
@@ -122,31 +140,33 @@ def contact(x, body, drive, active, p, lock):
             k1, g1 = trial(n1, may1)
             k2, g2 = trial(n2, may2)
             k3, g3 = trial(n3, may3)
-            f1, f2, f3 = starting_levels(g1, g2, g3, p)
+            f1, f2, f3 = starting_levels(g1, g2, g3, x, weight, p)
             d1, d2, d3, c1, c2, c3 = borne_torques(
                 m11, m12, m13, m22, m23, m33, b1 - f1, b2 - f2, b3 - f3,
                 (l1 + k1, l2 + k2, l3 + k3, a1, a2, a3))
             # by how much the combination fails [N.m]; more than 0 for all is rounding only
-            failure = max(overload(0, k1, d1, p), overload(1, k2, d2, p), overload(2, k3, d3, p),
+            failure = max(overload(0, k1, d1, x, weight, p), overload(1, k2, d2, x, weight, p),
+                          overload(2, k3, d3, x, weight, p),
                           -g1 * c1 * m11, -g2 * c2 * m22, -g3 * c3 * m33)
             if failure < least:
                 least = failure
                 held = (l1 + k1, l2 + k2, l3 + k3, a1, a2, a3)
-                slip = sliding(s1 + g1, s2 + g2, s3 + g3, p)
+                slip = sliding(s1 + g1, s2 + g2, s3 + g3, p, push)
                 if failure <= 0.0:
                     break
     return held, slip
 
 
 @inlined
-def starting_levels(g1, g2, g3, p):
+def starting_levels(g1, g2, g3, x, weight, p):
     """Friction [N.m], with its sign, of joints at rest that start in these directions."""
-    return (g1 * sliding_level(0, g1, 0.0, p), g2 * sliding_level(1, g2, 0.0, p),
-            g3 * sliding_level(2, g3, 0.0, p))
+    return (g1 * sliding_level(0, g1, x[0], weight[0], 0.0, p),
+            g2 * sliding_level(1, g2, x[1], weight[1], 0.0, p),
+            g3 * sliding_level(2, g3, x[2], weight[2], 0.0, p))
 
 
 @inlined
-def margin(x, body, drive, active, p, lock, held, slip):
+def margin(system, x, z, v, body, drive, active, p, lock, held, slip):
     """How far the state is from the end of its contact: negative once it has ended.
 
     The smallest of: velocity along the direction of sliding [rad/s], level less torque of a
@@ -160,14 +180,16 @@ def margin(x, body, drive, active, p, lock, held, slip):
     k2 = held[1] - lock[1]
     k3 = held[2] - lock[2]
     if k1 + k2 + k3 > 0.0:
-        m11, m12, m13, m22, m23, m33, b1, b2, b3 = free_system(x, slip, body, drive, active, p)
+        m11, m12, m13, m22, m23, m33, b1, b2, b3 = system(
+            x, z, v, slip, body, drive, active, p)
         d1, d2, d3, _, _, _ = borne_torques(m11, m12, m13, m22, m23, m33, b1, b2, b3, held)
+        weight = weights(x, body)
         if k1 != 0.0:
-            least = min(least, -overload(0, k1, d1, p))
+            least = min(least, -overload(0, k1, d1, x, weight, p))
         if k2 != 0.0:
-            least = min(least, -overload(1, k2, d2, p))
+            least = min(least, -overload(1, k2, d2, x, weight, p))
         if k3 != 0.0:
-            least = min(least, -overload(2, k3, d3, p))
+            least = min(least, -overload(2, k3, d3, x, weight, p))
     return least
 
 
@@ -184,52 +206,79 @@ def halt(x, slip):
     return q1, q2, q3, w1, w2, w3, i1, i2, i3
 
 
+@inlined
+def free_contact(x, z, v, body, drive, active, p, lock, push):
+    """`contact` as `changing_step` calls it."""
+    return contact_of(free_system, x, z, v, body, drive, active, p, lock, push)
+
+
+@inlined
+def free_margin(x, z, v, body, drive, active, p, lock, held, slip):
+    """`margin` as `changing_step` calls it."""
+    return margin(free_system, x, z, v, body, drive, active, p, lock, held, slip)
+
+
 @outlined
 def cold_step(x, z, v, h, body, drive, active, p, held, slip):
     """`kernel.rk4_step` as a call, for the places that few steps pass."""
     return rk4_step(x, z, v, h, body, drive, active, p, held, slip)
 
 
-@inlined
-def contact_step(x, z, v, h, body, drive, active, p, lock):
+@merged
+def contact_step(x, z, v, h, body, drive, active, p, lock, push):
     """State and bristles after `h` seconds with dry friction; arguments as `kernel.rk4_step`.
+
+    push : torques [N.m] in the direction of positive motion, constant over the step.
 
     Most steps slide all through, and cost no more than a look at the signs. Should the contact
     change more than a dozen times within one step (joints that chatter against each other), the
     rest of that step is taken in one go, and a joint that reverses in it is stopped at its end.
     """
+    if active & ALGEBRAIC:
+        # what decides whether a joint sticks is the current that these voltages drive
+        x = settled_state(x, v, drive, active, p)
     if ((x[3] != 0.0 or lock[0] != 0.0) and (x[4] != 0.0 or lock[1] != 0.0)
             and (x[5] != 0.0 or lock[2] != 0.0)):
         slip = sliding(slip_direction(0, lock[0], x[3], p), slip_direction(1, lock[1], x[4], p),
-                       slip_direction(2, lock[2], x[5], p), p)
+                       slip_direction(2, lock[2], x[5], p), p, push)
         # stages given as literals let the compiler drop all others
         if active == DRY:
             y, z_end = rk4_step(x, z, v, h, body, drive, DRY, p, lock, slip)
         elif active & ~(DRY | VARYING) == 0:
             y, z_end = rk4_step(x, z, v, h, body, drive, DRY | VARYING, p, lock, slip)
         else:
-            y, z_end = rk4_step(x, z, v, h, body, drive, active, p, lock, slip)
+            y, z_end = cold_step(x, z, v, h, body, drive, active, p, lock, slip)
         if slip[0] * y[3] >= 0.0 and slip[1] * y[4] >= 0.0 and slip[2] * y[5] >= 0.0:
             return y, z_end
-    return changing_step(x, z, v, h, body, drive, active, p, lock)
+    return rigid_changing_step(x, z, v, h, body, drive, active, p, lock, push)
+
+
+@outlined
+def rigid_changing_step(x, z, v, h, body, drive, active, p, lock, push):
+    """`changing_step` of the arm whose links follow their motors."""
+    return changing_step(cold_step, free_contact, free_margin, x, z, v, h, body, drive, active, p,
+                         lock, push)
 
 
 @inlined
-def changing_step(x, z, v, h, body, drive, active, p, lock):
-    """`contact_step` where a joint is at rest, or reverses: contacts are found and followed."""
+def changing_step(step, find_contact, find_margin, x, z, v, h, body, drive, active, p, lock, push):
+    """`contact_step` where a joint is at rest, or reverses: contacts are found and followed.
+
+    step, find_contact, find_margin : functions like `cold_step`, `free_contact`, `free_margin`.
+    """
     left = h
     y, z_end = x, z
     for _ in range(_CHANGES):
-        held, slip = contact(x, body, drive, active, p, lock)
+        held, slip = find_contact(x, z, v, body, drive, active, p, lock, push)
         stages = active
         if held[0] + held[1] + held[2] > 0.0:
             stages = active | LOCKED
-        y, z_end = cold_step(x, z, v, left, body, drive, stages, p, held, slip)
-        g_high = margin(y, body, drive, active, p, lock, held, slip)
+        y, z_end = step(x, z, v, left, body, drive, stages, p, held, slip)
+        g_high = find_margin(y, z_end, v, body, drive, active, p, lock, held, slip)
         if not g_high < 0.0:
             return y, z_end
         low, high = 0.0, left
-        g_low = max(margin(x, body, drive, active, p, lock, held, slip), 0.0)
+        g_low = max(find_margin(x, z, v, body, drive, active, p, lock, held, slip), 0.0)
         y = halt(y, slip)
         side = 0
         for _ in range(_ITERATIONS):
@@ -240,8 +289,8 @@ def changing_step(x, z, v, h, body, drive, active, p, lock):
                 middle = low + (high - low) * g_low / (g_low - g_high)
                 if not low < middle < high:
                     break
-            y_middle, z_middle = cold_step(x, z, v, middle, body, drive, stages, p, held, slip)
-            g = margin(y_middle, body, drive, active, p, lock, held, slip)
+            y_middle, z_middle = step(x, z, v, middle, body, drive, stages, p, held, slip)
+            g = find_margin(y_middle, z_middle, v, body, drive, active, p, lock, held, slip)
             if g < 0.0:
                 high, g_high = middle, g
                 if side < 0:
@@ -257,9 +306,9 @@ def changing_step(x, z, v, h, body, drive, active, p, lock):
         left -= high
         if left <= _RESOLUTION * h:
             return x, z
-    held, slip = contact(x, body, drive, active, p, lock)
+    held, slip = find_contact(x, z, v, body, drive, active, p, lock, push)
     stages = active
     if held[0] + held[1] + held[2] > 0.0:
         stages = active | LOCKED
-    y, z_end = cold_step(x, z, v, left, body, drive, stages, p, held, slip)
+    y, z_end = step(x, z, v, left, body, drive, stages, p, held, slip)
     return halt(y, slip), z_end

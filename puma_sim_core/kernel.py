@@ -14,12 +14,12 @@ joints removed, solution. Stages that only some effects need are entered by thei
 
 Arguments that all functions share
     body    the constants `rigid_body.Lumps`, a tuple
-    drive   15 constants of the motors, joint by joint: 1/L, R, ke N, kT, H
+    drive   15 constants of the motors, joint by joint: 1/L (0 where there is none), R, ke N, kT, H
     active  bit mask of the optional stages (`effects.active_stages`), with LOCKED
     p       the packed table of effects (`effects.pack`)
     lock    (l1, l2, l3, a1, a2, a3): l = 1.0 takes the joint's row out, its acceleration is a
     slip    (s1, s2, s3, c1, c2, c3): direction of sliding against dry friction, 0.0 without, and
-            the part of its torque that stays the same over a step [N.m]
+            the torque, of friction and from outside, that stays the same over a step [N.m]
     bend    (f1, f2, f3): torques of the bristles [N.m]
 """
 
@@ -29,87 +29,20 @@ from math import cos, sin
 
 from . import effects as _registry
 from .backend import inlined
-from .effects.amplifier import CURRENT_LIMITER, limited_current, limited_rate
-from .effects.friction import (ASYMMETRIC_COULOMB, COULOMB, PRESLIDING, STRIBECK,
-                               asymmetric_level, bristle_flow, coulomb_level, presliding_level,
-                               stribeck_level)
-from .effects.stops import SOFT_STOP, stop_torque
+from .circuit import (ALGEBRAIC, LIMIT, electric_rates, limited_currents, limited_rate,
+                      settled_currents)
+from .joint_torques import bristle_levels, bristle_torques, effect_torques
 
 WIDTH = _registry.WIDTH
-SMOOTH = _registry.SMOOTH
-DRY = _registry.DRY
-VARYING = _registry.VARYING
 BRISTLE = _registry.BRISTLE
 CURRENT_LIMIT = _registry.CURRENT_LIMIT
+DROOP = _registry.DROOP
 #: some joint is constrained from outside, or sticks
 LOCKED = 32
-
-_COULOMB = _registry.slot(COULOMB)
-_ASYMMETRIC = _registry.slot(ASYMMETRIC_COULOMB)
-_STRIBECK = _registry.slot(STRIBECK)
-_PRESLIDING = _registry.slot(PRESLIDING)
-_STOP = _registry.slot(SOFT_STOP)
-_LIMIT = _registry.slot(CURRENT_LIMITER)
 
 FREE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 NO_SLIP = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 STILL = (0.0, 0.0, 0.0)
-
-
-@inlined
-def smooth_torque(j, q, qd, p):
-    """Torque [N.m] of joint j's smooth effects, positive against positive motion."""
-    k = j * WIDTH
-    torque = stop_torque(p, k + _STOP, q, qd)
-    return torque
-
-
-@inlined
-def constant_level(j, direction, p):
-    """Dry friction [N.m] of joint j that depends on nothing but its direction (+1, -1)."""
-    k = j * WIDTH
-    level = coulomb_level(p, k + _COULOMB)
-    level += asymmetric_level(p, k + _ASYMMETRIC, direction)
-    level += presliding_level(p, k + _PRESLIDING)
-    return level
-
-
-@inlined
-def varying_level(j, speed, p):
-    """Dry friction [N.m] of joint j that varies within a step; speed >= 0 [rad/s]."""
-    k = j * WIDTH
-    level = stribeck_level(p, k + _STRIBECK, speed)
-    return level
-
-
-@inlined
-def sliding_level(j, direction, speed, p):
-    """All dry friction [N.m] of joint j when it slides in `direction` at `speed` >= 0."""
-    return constant_level(j, direction, p) + varying_level(j, speed, p)
-
-
-@inlined
-def has_bristle(j, p):
-    """Whether joint j's dry friction acts through a bristle."""
-    return p[j * WIDTH + _PRESLIDING] > 0.0
-
-
-@inlined
-def bristle_level(j, qd, p):
-    """Dry friction [N.m] that bounds joint j's bristle at velocity qd; 0.0 without a bristle."""
-    if not has_bristle(j, p):
-        return 0.0
-    return sliding_level(j, 1.0 if qd > 0.0 else -1.0, abs(qd), p)
-
-
-@inlined
-def bristle_step(j, z, travel, level, p):
-    """Deflection [rad] of joint j's bristle after `travel` [rad], and its torque [N.m]."""
-    stiffness = p[j * WIDTH + _PRESLIDING]
-    if stiffness == 0.0:
-        return 0.0, 0.0
-    z = bristle_flow(z, travel, level / stiffness)
-    return z, stiffness * z
 
 
 @inlined
@@ -190,30 +123,6 @@ def solve(m11, m12, m13, m22, m23, m33, b1, b2, b3):
 
 
 @inlined
-def effect_torques(q1, q2, q3, w1, w2, w3, t1, t2, t3, active, p, slip, bend):
-    """Torques at the joints [N.m] less what the active effects take."""
-    if active & SMOOTH:
-        t1 -= smooth_torque(0, q1, w1, p)
-        t2 -= smooth_torque(1, q2, w2, p)
-        t3 -= smooth_torque(2, q3, w3, p)
-    if active & DRY:
-        s1, s2, s3, c1, c2, c3 = slip
-        t1 -= c1
-        t2 -= c2
-        t3 -= c3
-        if active & VARYING:
-            t1 -= s1 * varying_level(0, abs(w1), p)
-            t2 -= s2 * varying_level(1, abs(w2), p)
-            t3 -= s3 * varying_level(2, abs(w3), p)
-    if active & BRISTLE:
-        f1, f2, f3 = bend
-        t1 -= f1
-        t2 -= f2
-        t3 -= f3
-    return t1, t2, t3
-
-
-@inlined
 def derivative(q1, q2, q3, w1, w2, w3, i1, i2, i3, v1, v2, v3,
                trig, body, drive, active, p, lock, slip, bend):
     """(qdd1, qdd2, qdd3, di1/dt, di2/dt, di3/dt) in rad/s^2 and A/s.
@@ -222,18 +131,24 @@ def derivative(q1, q2, q3, w1, w2, w3, i1, i2, i3, v1, v2, v3,
     at once.
     """
     y1, r1, k1, n1, h1, y2, r2, k2, n2, h2, y3, r3, k3, n3, h3 = drive
-    e1 = (v1 - r1 * i1 - k1 * w1) * y1
-    e2 = (v2 - r2 * i2 - k2 * w2) * y2
-    e3 = (v3 - r3 * i3 - k3 * w3) * y3
+    if active & (DROOP | ALGEBRAIC):
+        i1, i2, i3, e1, e2, e3 = electric_rates(
+            i1, i2, i3, w1, w2, w3, v1, v2, v3, drive, active, p)
+    else:
+        # written out: as a call of its own it makes all that follows slower by half
+        e1 = (v1 - r1 * i1 - k1 * w1) * y1
+        e2 = (v2 - r2 * i2 - k2 * w2) * y2
+        e3 = (v3 - r3 * i3 - k3 * w3) * y3
+        if active & CURRENT_LIMIT:
+            e1 = limited_rate(p, LIMIT, i1, e1)
+            e2 = limited_rate(p, WIDTH + LIMIT, i2, e2)
+            e3 = limited_rate(p, 2 * WIDTH + LIMIT, i3, e3)
     t1 = n1 * i1 - h1 * w1
     t2 = n2 * i2 - h2 * w2
     t3 = n3 * i3 - h3 * w3
     if active:
-        if active & CURRENT_LIMIT:
-            e1 = limited_rate(p, _LIMIT, i1, e1)
-            e2 = limited_rate(p, WIDTH + _LIMIT, i2, e2)
-            e3 = limited_rate(p, 2 * WIDTH + _LIMIT, i3, e3)
-        t1, t2, t3 = effect_torques(q1, q2, q3, w1, w2, w3, t1, t2, t3, active, p, slip, bend)
+        t1, t2, t3 = effect_torques(q1, q2, q3, w1, w2, w3, t1, t2, t3, trig, body, active, p,
+                                    slip, bend)
     m11, m12, m13, m22, m23, m33, b1, b2, b3 = rigid_body(
         w1, w2, w3, t1, t2, t3, trig, body)
     if active & LOCKED:
@@ -241,21 +156,6 @@ def derivative(q1, q2, q3, w1, w2, w3, i1, i2, i3, v1, v2, v3,
             m11, m12, m13, m22, m23, m33, b1, b2, b3, lock)
     a1, a2, a3 = solve(m11, m12, m13, m22, m23, m33, b1, b2, b3)
     return a1, a2, a3, e1, e2, e3
-
-
-@inlined
-def bristle_levels(w1, w2, w3, p):
-    """`bristle_level` of the three joints."""
-    return bristle_level(0, w1, p), bristle_level(1, w2, p), bristle_level(2, w3, p)
-
-
-@inlined
-def bristle_torques(z, t1, t2, t3, level, p):
-    """Deflections (z1, z2, z3) after travels t1, t2, t3 [rad], and their torques [N.m]."""
-    z1, f1 = bristle_step(0, z[0], t1, level[0], p)
-    z2, f2 = bristle_step(1, z[1], t2, level[1], p)
-    z3, f3 = bristle_step(2, z[2], t3, level[2], p)
-    return (z1, z2, z3), (f1, f2, f3)
 
 
 @inlined
@@ -294,16 +194,17 @@ def build_step(trigonometry):
         u1 = w1 + half * a1
         u2 = w2 + half * a2
         u3 = w3 + half * a3
-        if active & BRISTLE:
-            level = bristle_levels(u1, u2, u3, p)
-            _, bend = bristle_torques(
-                z, half * w1, half * w2, half * w3, level, p)
         r2 = q2 + half * w2
         r3 = q3 + half * w3
+        trig = trigonometry(r2, r3)
+        if active & BRISTLE:
+            level = bristle_levels(q1 + half * w1, r2, r3, u1, u2, u3, trig, body, p)
+            _, bend = bristle_torques(
+                z, half * w1, half * w2, half * w3, level, p)
         b1, b2, b3, f1, f2, f3 = derivative(
             q1 + half * w1, r2, r3, u1, u2, u3,
             i1 + half * e1, i2 + half * e2, i3 + half * e3, v1, v2, v3,
-            trigonometry(r2, r3), body, drive, active, p, lock, slip, bend)
+            trig, body, drive, active, p, lock, slip, bend)
 
         x1 = w1 + half * b1
         x2 = w2 + half * b2
@@ -340,13 +241,13 @@ def build_step(trigonometry):
         i2 += sixth * (e2 + 2.0 * (f2 + g2) + k2)
         i3 += sixth * (e3 + 2.0 * (f3 + g3) + k3)
         if active & CURRENT_LIMIT:
-            i1 = limited_current(p, _LIMIT, i1)
-            i2 = limited_current(p, WIDTH + _LIMIT, i2)
-            i3 = limited_current(p, 2 * WIDTH + _LIMIT, i3)
-        return (q1 + sixth * m1, q2 + sixth * m2, q3 + sixth * m3,
-                w1 + sixth * (a1 + 2.0 * (b1 + c1) + d1),
-                w2 + sixth * (a2 + 2.0 * (b2 + c2) + d2),
-                w3 + sixth * (a3 + 2.0 * (b3 + c3) + d3),
+            i1, i2, i3 = limited_currents(i1, i2, i3, p)
+        w1 += sixth * (a1 + 2.0 * (b1 + c1) + d1)
+        w2 += sixth * (a2 + 2.0 * (b2 + c2) + d2)
+        w3 += sixth * (a3 + 2.0 * (b3 + c3) + d3)
+        if active & ALGEBRAIC:
+            i1, i2, i3 = settled_currents(i1, i2, i3, w1, w2, w3, v1, v2, v3, drive, active, p)
+        return (q1 + sixth * m1, q2 + sixth * m2, q3 + sixth * m3, w1, w2, w3,
                 i1, i2, i3), z_end
 
     return rk4_step

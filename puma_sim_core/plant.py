@@ -10,14 +10,18 @@ each ``{name: ..., joint: ..., PARAMETER: {value: ..., unit: ...}}``.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
 from . import __version__
-from .effects import KINDS, Effect, active_stages, check_distinct, pack
+from .circuit import ALGEBRAIC
+from .drive_train import DriveTrains, vanishes
+from .effects import KINDS, Effect, active_stages, check_distinct, fill_arm, pack
+from .effects.base import TWO_MASS
 from .effects.friction import VISCOUS
+from .effects.outside import BASE_TILT, tilt_constants
 from .errors import ModelError, ParameterError
 from .files import read_yaml, write_yaml
 from .parameters import ArmParameters, from_mapping, load_parameters, to_mapping
@@ -64,6 +68,27 @@ class Plant:
         effects = tuple(effect.on(self.arm) for effect in self.effects)
         check_distinct(effects)
         object.__setattr__(self, "effects", effects)
+        if any(effect.kind.stage & TWO_MASS for effect in effects):
+            self.constants  # refuses shares of the motors' inertia that no arm can have
+
+    @property
+    def joints(self) -> int:
+        """Number of joints that move: those of its voltages and positions."""
+        return 3
+
+    @property
+    def position_unit(self) -> str:
+        """Unit of its positions: rad, or m."""
+        return "rad"
+
+    @property
+    def kernel_effects(self) -> tuple[Effect, ...]:
+        """The effects on the joints of the kernel, which always has three."""
+        return self.effects
+
+    def with_effects(self, effects: Iterable[Effect]) -> Plant:
+        """The plant with further effects; raises ParameterError where one stands twice."""
+        return replace(self, effects=self.effects + tuple(effects))
 
     @classmethod
     def of(cls, name_or_path: str = "bejczy", effects: Iterable[Effect] = (),
@@ -97,17 +122,27 @@ class Plant:
         """The kernel's arguments for this plant."""
         drive = []
         for motor, kT, H in zip(self.arm.motors, self.torque_per_ampere, self.viscous_friction):
-            drive += [1.0 / motor.inductance, float(motor.resistance),
+            drive += [1.0 / motor.inductance if motor.inductance else 0.0,
+                      float(motor.resistance),
                       float(motor.back_emf * motor.gear_ratio), float(kT), H]
-        body = Lumps(*(float(value) for value in lumped_constants(self.loaded_arm)))
-        return KernelConstants(body, tuple(drive), active_stages(self.effects),
-                               pack(self.effects))
+        effects = tuple(e for e in self.kernel_effects if not vanishes(e))
+        active, arm, table = active_stages(effects), self.loaded_arm, pack(effects)
+        if active & TWO_MASS:
+            trains = DriveTrains(arm, effects, drive)
+            arm, table = trains.link_arm, table + trains.table
+        for effect in effects:
+            if effect.kind is BASE_TILT:
+                fill_arm(table, BASE_TILT, tilt_constants(arm, **effect.values))
+        body = Lumps(*(float(value) for value in lumped_constants(arm)))
+        if not all(motor.inductance for motor in self.arm.motors):
+            active |= ALGEBRAIC
+        return KernelConstants(body, tuple(drive), active, table)
 
     def to_mapping(self) -> dict:
         """Plain values of a model file; every digit is kept."""
         return {"format": MODEL_FORMAT, "version": __version__, "torque_form": self.torque_form,
                 "parameters": to_mapping(self.arm),
-                "effects": [_effect_mapping(effect) for effect in self.effects]}
+                "effects": [effect_mapping(effect) for effect in self.effects]}
 
     @classmethod
     def from_mapping(cls, mapping: Mapping, where: str | None = None) -> Plant:
@@ -124,6 +159,10 @@ class Plant:
         if mapping["format"] != MODEL_FORMAT:
             raise ModelError(f"format '{mapping['format']}'", where=where,
                              expected=f"'{MODEL_FORMAT}', which version {__version__} reads")
+        if "mechanism" in mapping:
+            from .one_joint import OneJointPlant
+
+            return OneJointPlant.from_mapping(mapping, where)
         known = ("format", "version", "torque_form", "parameters", "effects")
         for key in mapping:
             if key not in known:
@@ -135,26 +174,43 @@ class Plant:
         source = mapping["parameters"]
         arm = (load_parameters(source) if isinstance(source, str)
                else from_mapping(source, where and f"{where}: parameters"))
-        effects = mapping.get("effects") or []
-        if not isinstance(effects, list):
-            raise ModelError(f"effects: {effects!r}", where=where, expected="a list")
-        try:
-            return cls(arm, tuple(_effect_of(entry) for entry in effects),
-                       mapping.get("torque_form", "physical"))
-        except ParameterError as error:
-            raise ModelError(error.what, where=" ".join(filter(None, (where, error.where))),
-                             expected=error.expected) from None
+        return made_of_model(lambda: cls(arm, effects_of_mapping(mapping),
+                                         mapping.get("torque_form", "physical")), where)
 
 
-def _effect_mapping(effect: Effect) -> dict:
-    units = {p.name: p.unit for p in effect.kind.parameters}
+def made_of_model(make: Callable[[], Plant], where: str | None) -> Plant:
+    """What `make` gives, with its ParameterError as a ModelError that names the file."""
+    try:
+        return make()
+    except ParameterError as error:
+        raise ModelError(error.what, where=" ".join(filter(None, (where, error.where))),
+                         expected=error.expected) from None
+
+
+def effects_of_mapping(mapping: Mapping, unit_of: Callable[[str], str] = str
+                       ) -> tuple[Effect, ...]:
+    """The effects of a model file; unit_of: the unit there for that of a kind's parameter.
+
+    Raises
+    ------
+    ParameterError : names the effect and what is wrong with it.
+    """
+    effects = mapping.get("effects") or []
+    if not isinstance(effects, list):
+        raise ParameterError(f"effects: {effects!r}"[:80], expected="a list")
+    return tuple(_effect_of(entry, unit_of) for entry in effects)
+
+
+def effect_mapping(effect: Effect, unit_of: Callable[[str], str] = str) -> dict:
+    """The entry of an effect in a model file; unit_of as in `effects_of_mapping`."""
+    units = {p.name: unit_of(p.unit) for p in effect.kind.parameters}
     joint = {} if effect.joint is None else {"joint": effect.joint}
     return {"name": effect.kind.name, **joint,
             **{name: {"value": value, "unit": units[name]}
                for name, value in effect.values.items()}}
 
 
-def _effect_of(entry) -> Effect:
+def _effect_of(entry, unit_of) -> Effect:
     """The effect of one entry of a model file."""
     if not isinstance(entry, Mapping) or "name" not in entry:
         raise ParameterError(f"{entry!r}", where="effects",
@@ -163,7 +219,7 @@ def _effect_of(entry) -> Effect:
     if not isinstance(name, str) or name not in KINDS:
         raise ParameterError(f"unknown effect '{name}'", where="effects",
                              expected=f"one of {', '.join(KINDS)}")
-    units = {p.name: p.unit for p in KINDS[name].parameters}
+    units = {p.name: unit_of(p.unit) for p in KINDS[name].parameters}
     values = {}
     for key, value in entry.items():
         if key in ("name", "joint"):

@@ -10,7 +10,6 @@ reads back to the same bits.
 
 from __future__ import annotations
 
-import csv
 import io
 import math
 import os
@@ -22,6 +21,7 @@ from typing import TextIO
 
 import numpy as np
 
+from .csv_rows import check_count, fields_of, number_of
 from .errors import RecordingError
 from .files import whole_file
 
@@ -84,8 +84,8 @@ def write_csv(recording: Recording, path: str | os.PathLike) -> None:
 
 
 def read_csv(path: str | os.PathLike, required: Sequence[str] = ("voltage",),
-             optional: Sequence[str] = ()) -> Recording:
-    """Read a recording with the groups of columns that are asked for.
+             optional: Sequence[str] = (), joints: int = 3) -> Recording:
+    """Read a recording of so many joints with the groups of columns that are asked for.
 
     Lines that begin with '#' are skipped. Columns may stand in any order.
 
@@ -96,10 +96,10 @@ def read_csv(path: str | os.PathLike, required: Sequence[str] = ("voltage",),
         do not increase; names the file, the line and the column.
     """
     names, table = _table(path, lambda names, line: _check_names(
-        names, path, line, tuple(required), tuple(optional)))
+        names, path, line, tuple(required), tuple(optional), joints))
     groups = {}
     for group in (*required, *optional):
-        columns = [f"{group}{j}" for j in (1, 2, 3)]
+        columns = [f"{group}{j + 1}" for j in range(joints)]
         if columns[0] in names:
             groups[group] = table[:, [names.index(column) for column in columns]]
     return Recording(time=table[:, names.index("time")].copy(), **groups)
@@ -160,7 +160,7 @@ def _table(path, check: Callable[[list[str], int], None]) -> tuple[list[str], np
     first = next(numbered, None)
     if first is None:
         raise RecordingError("is empty", where=str(path), expected="a line of column names")
-    names = [name.strip() for name in _fields(first[1], path, first[0])]
+    names = [name.strip() for name in fields_of(first[1], path, first[0])]
     check(names, first[0])
     start = file.tell()
     table = _clean_table(file, names)
@@ -202,10 +202,11 @@ def _diagnosed_table(numbered, names, path) -> np.ndarray:
     return np.array(rows, dtype=float)
 
 
-def _check_names(names, path, line, required, optional) -> None:
+def _check_names(names, path, line, required, optional, joints) -> None:
     where = f"{path}, line {line}"
-    wanted = ["time"] + [f"{group}{j}" for group in required for j in (1, 2, 3)]
-    allowed = wanted + [f"{group}{j}" for group in optional for j in (1, 2, 3)]
+    numbers = range(1, joints + 1)
+    wanted = ["time"] + [f"{group}{j}" for group in required for j in numbers]
+    allowed = wanted + [f"{group}{j}" for group in optional for j in numbers]
     for name in names:
         if name not in allowed:
             raise RecordingError(f"unknown column '{name}'", where=where,
@@ -218,35 +219,19 @@ def _check_names(names, path, line, required, optional) -> None:
             raise RecordingError(f"column '{name}' is missing", where=where,
                                  expected=f"the columns {', '.join(wanted)}")
     for group in optional:
-        have = [j for j in (1, 2, 3) if f"{group}{j}" in names]
-        if have and len(have) < 3:
-            raise RecordingError(f"only {len(have)} of the columns {group}1..3", where=where,
-                                 expected="all three or none")
-
-
-def _fields(line, path, number) -> list[str]:
-    try:
-        return next(csv.reader([line]))
-    except csv.Error as error:
-        raise RecordingError(f"is not CSV ({error})", where=f"{path}, line {number}",
-                             expected="fields between commas") from None
+        have = [j for j in numbers if f"{group}{j}" in names]
+        if have and len(have) < joints:
+            raise RecordingError(f"only {len(have)} of the columns {group}1..{joints}",
+                                 where=where, expected="all three or none")
 
 
 def _row(line, names, path, number) -> list[float]:
-    fields = _fields(line, path, number)
-    if len(fields) != len(names):
-        raise RecordingError(f"{len(fields)} {'field' if len(fields) == 1 else 'fields'}",
-                             where=f"{path}, line {number}",
-                             expected=f"{len(names)} numbers, one a column")
+    fields = fields_of(line, path, number)
+    check_count(fields, names, path, number)
     row = []
     for name, field in zip(names, fields):
         where = f"{path}, line {number}, column {name}"
-        try:
-            if "_" in field:  # which float() takes, as Python's own numbers do
-                raise ValueError
-            value = float(field)
-        except ValueError:
-            raise RecordingError(f"'{field.strip()}'", where=where, expected="a number") from None
+        value = number_of(field, where)
         if not math.isfinite(value):
             raise RecordingError(field.strip(), where=where, expected="a finite number")
         row.append(value)

@@ -17,12 +17,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .effects import WIDTH, slot
+from .delay import input_delay
+from .effects import SENSED, WIDTH, slot
 from .effects.amplifier import CURRENT_LIMITER
+from .effects.base import VOLTAGE
 from .errors import NonFiniteStateError, ParameterError, RecordingError
 from .plant import Plant
 from .recording import GROUPS, Recording
 from .runs import terminal_voltages
+from .sensed import true_motion
 from .simulator import Simulator, native
 
 #: half of the stretch of positions that a slope is taken from [s]: a cubic through 40 ms of a
@@ -37,7 +40,7 @@ _MEMORY = 40.0
 class OpenLoopErrors:
     """How far the simulated positions are from the measured ones, joint by joint.
 
-    rms (3) and worst (3) [rad], worst_time (3) [s], windows. Each row counts once, as the
+    rms (J) and worst (J) [rad or m], worst_time (J) [s], windows. Each row counts once, as the
     window that ends at it or goes through it predicts it; the row that a log starts with does
     not count.
     """
@@ -72,12 +75,12 @@ def window_starts(time: np.ndarray, interval: float) -> np.ndarray:
 
 
 def local_motion(time: np.ndarray, position: np.ndarray, row: int) -> tuple[np.ndarray, np.ndarray]:
-    """Velocity (3) [rad/s] and acceleration (3) [rad/s^2] at a row of measured positions.
+    """Velocity (J) [rad/s] and acceleration (J) [rad/s^2] at a row of measured positions.
 
     A cubic is fitted by least squares to the rows within `HALF_STRETCH`, or 2.5 samples where
     that is longer, on both sides alike: it shifts nothing in time. A parabola serves where rows
     are on one side only, and less where they are too few. time (n,) [s] may be uneven, n >= 2;
-    position (n, 3) [rad].
+    position (n, J) [rad].
     """
     gaps = np.diff(time[max(0, row - 1):row + 2])
     reach = max(HALF_STRETCH, 2.5 * float(gaps.min()))
@@ -93,44 +96,71 @@ def local_motion(time: np.ndarray, position: np.ndarray, row: int) -> tuple[np.n
 
 def driven_current(plant: Plant, time: np.ndarray, voltage: np.ndarray, row: int,
                    velocity: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
-    """Current (3) [A] at a row, from the voltages before it and the motion at it (equation 5.1).
+    """Current (J) [A] at a row, from the voltages before it and the motion at it (equation 5.1).
 
     L di/dt + R i = V - ke N qd makes i the quasi-static (V - ke N qd) / R, averaged over the
     past with the weight e^(-s R/L): V of the rows before, exactly as they were held, and
     qd(t - s) = qd - s qdd. At the first row its own voltage stands for the past. The amplifier's
-    effects act on V, a current limit on the result.
+    effects act on V, an `input_delay` on its time, a current limit on the result. A motor without
+    inductance has the current of the row's own voltage. voltage (n, J) [V], velocity (J) [rad/s],
+    acceleration (J) [rad/s^2].
     """
-    motors, table = plant.arm.motors, native(plant.constants.table)
+    hidden = 3 - plant.joints
+    motors, table = plant.arm.motors[hidden:], native(plant.constants.table)
     longest = max(m.inductance / m.resistance for m in motors)
-    first = max(0, int(np.searchsorted(time, time[row] - _MEMORY * longest, side="right")) - 1)
-    rows = range(first, max(row, 1))
-    held = np.array([terminal_voltages(*voltage[r].tolist(), table) for r in rows])
-    edges = time[row] - time[first:rows.stop + 1]
+    # what arrives now was asked for then
+    asked = time[row] - input_delay(plant.constants.active, table)
+    if longest == 0.0:
+        first = max(0, int(np.searchsorted(time, asked, side="right")) - 1)
+        after = first + 1
+    else:
+        first = max(0, int(np.searchsorted(time, asked - _MEMORY * longest, side="right")) - 1)
+        after = max(int(np.searchsorted(time, asked, side="left")), 1)
+    held = voltage[first:after]
+    if any(effect.kind.acts == VOLTAGE for effect in plant.effects):
+        rows = np.pad(held, ((0, 0), (hidden, 0))).tolist()
+        held = np.array([terminal_voltages(*v, table)[hidden:] for v in rows])
+    edges = asked - time[first:after + 1]
     edges[-1] = 0.0
-    current = np.empty(3)
+    current = np.empty(len(motors))
     for j, motor in enumerate(motors):
         lag = motor.inductance / motor.resistance
-        weight = np.diff(np.exp(-edges / lag))
-        weight[0] = 1.0 - weight[1:].sum()
         emf = motor.back_emf * motor.gear_ratio * (velocity[j] - lag * acceleration[j])
-        current[j] = (weight @ held[:, j] - emf) / motor.resistance
-    limit = np.array([table[j * WIDTH + slot(CURRENT_LIMITER)] for j in range(3)])
+        mean = held[-1, j]
+        if lag > 0.0:
+            weight = np.diff(np.exp(-edges / lag))
+            weight[0] = 1.0 - weight[1:].sum()
+            mean = weight @ held[:, j]
+        current[j] = (mean - emf) / motor.resistance
+    limit = np.array([table[j * WIDTH + slot(CURRENT_LIMITER)] for j in range(hidden, 3)])
     return np.clip(current, -limit, limit)
 
 
 def measured_state(plant: Plant, log: Recording, row: int) -> tuple[np.ndarray, ...]:
-    """Position [rad], velocity [rad/s] and current [A] (3 each) at a row of a measured log.
+    """Position [rad], velocity [rad/s] and current [A] (J each) at a row of a measured log.
 
     What the log holds is taken as it is; the rest comes from `local_motion` and `driven_current`.
+    Where the plant's sensors measure another position, this is the true one behind the log's.
     """
     velocity, acceleration = local_motion(log.time, log.position, row)
+    position, velocity = true_start(plant, log.position[row], velocity, acceleration)
     if log.velocity is not None:
         velocity = log.velocity[row]
     if log.current is not None:
         current = log.current[row]
     else:
         current = driven_current(plant, log.time, log.voltage, row, velocity, acceleration)
-    return log.position[row], velocity, current
+    return position, velocity, current
+
+
+def true_start(plant: Plant, position, velocity, acceleration) -> tuple[np.ndarray, np.ndarray]:
+    """True position [rad] and velocity [rad/s] (J each) behind a measured motion (J each)."""
+    if not plant.constants.active & SENSED:
+        return position, velocity
+    hidden = 3 - plant.joints
+    motion = (np.pad(values, (hidden, 0)) for values in (position, velocity, acceleration))
+    position, velocity = true_motion(*motion, plant.constants.table)
+    return position[hidden:], velocity[hidden:]
 
 
 def run_windows(simulator: Simulator, log: Recording, interval: float, *,
@@ -161,9 +191,10 @@ def run_windows(simulator: Simulator, log: Recording, interval: float, *,
                              where="log", expected="two rows or more with voltage and position")
     starts = window_starts(log.time, interval)
     ends = np.append(starts[1:], len(log) - 1)
-    state = np.empty((len(log), 9))
-    second = np.empty((len(log), 3)) if acceleration else None
-    error = np.zeros((len(log), 3))
+    joints = log.position.shape[1]
+    state = np.empty((len(log), 3 * joints))
+    second = np.empty((len(log), joints)) if acceleration else None
+    error = np.zeros_like(log.position)
     for first, last in zip(starts.tolist(), ends.tolist()):
         _restart(simulator, log, first)
         rows = slice(first, last + 1)
@@ -177,8 +208,9 @@ def run_windows(simulator: Simulator, log: Recording, interval: float, *,
             second[rows] = run.acceleration
         error[first + 1:last + 1] = (run.position - log.position[rows])[1:]
         report(last + 1)
-    recording = Recording(time=log.time, voltage=log.voltage, position=state[:, 0:3],
-                          velocity=state[:, 3:6], current=state[:, 6:9], acceleration=second)
+    recording = Recording(time=log.time, voltage=log.voltage, position=state[:, :joints],
+                          velocity=state[:, joints:2 * joints], current=state[:, 2 * joints:],
+                          acceleration=second)
     row = np.abs(error).argmax(axis=0)
     return recording, OpenLoopErrors(
         rms=np.sqrt((error[1:] ** 2).mean(axis=0)), worst=np.abs(error).max(axis=0),
@@ -188,10 +220,22 @@ def run_windows(simulator: Simulator, log: Recording, interval: float, *,
 def _restart(simulator: Simulator, log: Recording, row: int) -> None:
     position, velocity, current = measured_state(simulator.plant, log, row)
     own = [c.kind == "hold" or (c.kind == "velocity" and c.value is not None)
-           for c in simulator.constraints]
+           for c in simulator.constraints[3 - simulator.plant.joints:]]
     bristles = simulator.bristles
     simulator.reset(position, np.where(own, 0.0, velocity), current, time=log.time[row])
     simulator.bristles = bristles
+    if simulator.plant.constants.active & SENSED:
+        # behind a lag it is not what a sensor at rest there would give
+        simulator.measured = tuple(np.pad(log.position[row], (3 - len(position), 0)).tolist())
+    tell_past(simulator, log.time, log.voltage, row)
+
+
+def tell_past(simulator: Simulator, time: np.ndarray, voltage: np.ndarray, row: int) -> None:
+    """Tell the `input_delay` of a plant that starts at a row what was asked for before it."""
+    delay = simulator.past.delay
+    if delay > 0.0 and row > 0:
+        first = max(0, int(np.searchsorted(time, time[row] - delay, side="right")) - 1)
+        simulator.remember(time[row] - time[first:row], voltage[first:row])
 
 
 def _present(log: Recording) -> str:

@@ -18,14 +18,18 @@ import numpy as np
 
 from . import __version__
 from .backend import BACKEND
-from .closed_loop import ControlLoop
+from .closed_loop import ControlLoop, HeldRows, unpacked
 from .control.controllers import load_settings, make_controller
 from .control.pid import Pid
 from .control.servo import ServoConfig
+from .delay import NO_DELAY, SampledDelay, input_delay
+from .effects import SENSED
 from .errors import CommandError, ModelError, NonFiniteStateError, ParameterError, PumaSimError
 from .plant import Plant
-from .runs import run_servo, run_voltages, servo_memory, terminal_voltages
-from .simulator import check_step, native, three
+from .run_inputs import check_step, native, three
+from .runs import ROW, WIDE, WIDE_ROW, servo_memory, supply_voltages
+from .sensed import settled_positions
+from .two_mass_runs import links_at, run_servo
 
 SESSION_FORMAT = "puma-sim session 1"
 COMMAND_INTERFACES = ("voltage", "position")
@@ -74,6 +78,10 @@ class SessionConfig:
     controller_settings: Mapping | None = None
 
     def __post_init__(self):
+        if self.plant.joints != 3:
+            raise ParameterError(f"a model of {self.plant.joints} joint", where="session",
+                                 expected="a model of an arm of three; `puma-sim simulate` runs "
+                                          "models of one joint")
         if self.command_interface not in COMMAND_INTERFACES:
             raise ParameterError(f"command_interface '{self.command_interface}'",
                                  expected=" or ".join(COMMAND_INTERFACES))
@@ -198,10 +206,10 @@ class SessionState(NamedTuple):
 
     step: int
     time_ns: int
-    position: tuple[float, float, float]  #: [rad]
+    position: tuple[float, float, float]  #: as the sensors give it [rad]
     velocity: tuple[float, float, float]  #: [rad/s]
     current: tuple[float, float, float]  #: [A]
-    voltage: tuple[float, float, float]  #: at the motors, last in the step [V]
+    voltage: tuple[float, float, float]  #: asked of the supply, last in the step [V]
     effort: tuple[float, float, float]  #: torque of the motor at the joint, kT i [N.m]
 
 
@@ -214,7 +222,11 @@ class Counters:
 
 
 class Session:
-    """The arm under commands, one period a step. See `SessionConfig` for the rules."""
+    """The arm under commands, one period a step. See `SessionConfig` for the rules.
+
+    Positions are given and taken as the sensors measure them; the initial position alone is the
+    true one. Voltages are given within the supply, without what else the amplifiers do.
+    """
 
     def __init__(self, config: SessionConfig):
         self.config = config
@@ -229,26 +241,33 @@ class Session:
                         else ((-config.voltage_limit, config.voltage_limit),) * 3)
         self._servo = native(config.servo.table(self._h, config.voltage_limit,
                                                 [m.gear_ratio for m in plant.arm.motors]))
-        compiled = BACKEND == "numba"
-        self._counts = np.array([config.substeps]) if compiled else [config.substeps]
-        self._steps = native([self._h])
-        self._row = np.zeros((1, 3)) if compiled else [[0.0, 0.0, 0.0]]
-        self._out = np.empty((2, 12))
-        self._servo_out = np.empty((config.substeps + 1, 12))
+        width = WIDE_ROW if active & WIDE else ROW
+        self._target_row = np.zeros((1, 3)) if BACKEND == "numba" else [[0.0, 0.0, 0.0]]
+        delay = input_delay(active, table)
+        sample = config.period if config.command_interface == "voltage" else self._h
+        self._late = SampledDelay(delay, sample, self._h) if delay else None
+        self._rows = HeldRows(1 if self._late is None else 2, width)
+        self._servo_out = np.empty((config.substeps + 1, width))
         self._servo_volts = np.empty((config.substeps, 3))
         self._loop = None if config.controller == "pid" else ControlLoop(
             config.make_controller(), config.servo, self._h, 1, config.voltage_limit,
             [m.gear_ratio for m in plant.arm.motors], self._kernel)
+        if self._loop is not None:
+            self._loop.late = self._late
         self.reset()
 
     def reset(self) -> None:
         """Back to the initial state: motors, servo, watchdog, counters and step count too."""
         c = self.config
         self._x = (*c.initial_position, *c.initial_velocity, *c.initial_current)
-        self._bristles = _NOTHING
-        self._target = list(c.initial_position if c.command_interface == "position" else _NOTHING)
-        self._memory = native([*servo_memory(c.initial_position, c.initial_position, self._servo),
+        self._z = (*_NOTHING, *links_at(self._x, 0.0, *self._kernel))
+        self._m = (settled_positions(c.initial_position, self._kernel[3])
+                   if self._kernel[2] & SENSED else c.initial_position)
+        self._target = list(self._m if c.command_interface == "position" else _NOTHING)
+        self._memory = native([*servo_memory(self._m, self._m, self._servo),
                                *c.servo.held_back()])
+        if self._late is not None:
+            self._late.hold(_NOTHING)
         if self._loop is not None:
             self._loop.reset()
         self._fresh = False
@@ -335,8 +354,7 @@ class Session:
         step = self.state.step + 1
         if bad >= 0:
             raise NonFiniteStateError(step)
-        row = tuple(row.tolist())
-        self._x, self._bristles = row[:9], row[9:]
+        self._x, self._z, self._m = unpacked(row)
         self.state = self._state(step, voltage)
         return self.state
 
@@ -348,32 +366,40 @@ class Session:
             return
         self.command_age_steps += 1
         if self.command_age_steps == self._timeout:
-            self._target = list(self._x[:3] if self.config.command_interface == "position"
+            self._target = list(self._seen() if self.config.command_interface == "position"
                                 else _NOTHING)
 
+    def _seen(self):
+        """Measured positions [rad]."""
+        return self._m if self._kernel[2] & SENSED else self._x[:3]
+
+    def _time(self) -> float:
+        """Simulated time at the start of the step [s]."""
+        return self.state.step * self.config.period
+
     def _step_voltage(self):
-        row = self._row[0]
-        row[0], row[1], row[2] = self._target
-        bad = run_voltages(self._x, self._bristles, self._row, self._counts, self._steps,
-                           *self._kernel, self._out)
-        return bad, self._out[1], terminal_voltages(*self._target, self._kernel[3])
+        rows = ([self._target], [self.config.substeps], [self._h]) if self._late is None else (
+            self._late.take(self._target), self._late.counts, self._late.steps)
+        end = self._rows.run(self._x, self._z, self._m, self._time(), *rows, self._kernel)
+        return (1, None, _NOTHING) if end is None else (-1, end, self._target)
 
     def _step_servo(self):
-        row = self._row[0]
+        row = self._target_row[0]
         row[0], row[1], row[2] = self._target
-        bad = run_servo(self._x, self._bristles, self._row, self.config.substeps, 1, self._h,
-                        self._servo, self._memory, *self._kernel, self._servo_out,
-                        self._servo_volts)
-        return bad, self._servo_out[-1], tuple(self._servo_volts[-1].tolist())
+        bad = run_servo(self._x, self._z, self._m, self._time(), self._target_row,
+                        self.config.substeps, 1, self._h, self._servo, self._memory,
+                        NO_DELAY if self._late is None else self._late.table, *self._kernel,
+                        self._servo_out, self._servo_volts)
+        return bad, self._servo_out[-1], self._servo_volts[-1].tolist()
 
     def _step_controller(self):
-        bad = self._loop.run(self._x, self._bristles, [self._target], self.config.substeps,
-                             self.state.step * self.config.period, self._servo_out,
-                             self._servo_volts)
-        return bad, self._servo_out[-1], tuple(self._servo_volts[-1].tolist())
+        bad = self._loop.run(self._x, self._z, self._m, [self._target], self.config.substeps,
+                             self._time(), self._servo_out, self._servo_volts)
+        return bad, self._servo_out[-1], self._servo_volts[-1].tolist()
 
     def _state(self, step, voltage) -> SessionState:
-        q1, q2, q3, w1, w2, w3, i1, i2, i3 = self._x
+        _, _, _, w1, w2, w3, i1, i2, i3 = self._x
         k1, k2, k3 = self._kT
-        return SessionState(step, step * self._period_ns, (q1, q2, q3), (w1, w2, w3),
-                            (i1, i2, i3), tuple(voltage), (k1 * i1, k2 * i2, k3 * i3))
+        return SessionState(step, step * self._period_ns, tuple(self._seen()), (w1, w2, w3),
+                            (i1, i2, i3), tuple(supply_voltages(*voltage, self._kernel[3])),
+                            (k1 * i1, k2 * i2, k3 * i3))

@@ -11,12 +11,8 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
-import os
 import re
-import signal
-import subprocess
 import sys
-import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -26,41 +22,12 @@ from puma_sim_core.bag import BagContents, read_bag
 from puma_sim_core.errors import PumaSimError
 from puma_sim_core.recording import Recording, read_csv
 from puma_sim_core.replay import replay, session_of
-from puma_sim_core.resources import config_path
 
-#: longest time for the motion, the first start of the compiled model included [s]
-_PATIENCE = 50.0
+from .two_programs import PATIENCE, run_session
 
 
 class DemoError(PumaSimError):
-    """A program of the demonstration failed."""
-
-
-def _environment() -> dict[str, str]:
-    """That of the children: a domain of their own unless the user has one, this machine only."""
-    environment = dict(os.environ)
-    environment.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
-    environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    # a checkout that is not installed serves as well
-    root = str(Path(__file__).resolve().parent.parent)
-    environment["PYTHONPATH"] = os.pathsep.join(
-        filter(None, (root, environment.get("PYTHONPATH"))))
-    return environment
-
-
-def _start(module: str, parameters: dict[str, object], log: Path) -> subprocess.Popen:
-    words = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
-    file = config_path(f"{module}.yaml")
-    with open(log, "w", encoding="utf-8") as output:
-        return subprocess.Popen(
-            [sys.executable, "-m", f"puma_sim_ros.{module}", "--ros-args", "--params-file",
-             str(file), *words], stdout=output, stderr=subprocess.STDOUT, env=_environment())
-
-
-def _check(condition: bool, what: str, log: Path) -> None:
-    if not condition:
-        tail = "\n".join(log.read_text(encoding="utf-8").splitlines()[-8:])
-        raise DemoError(f"{what}; the end of its log is\n{tail}", where=log)
+    """The demonstration did not come out as it must."""
 
 
 def move(out: Path, mode: str) -> tuple[Path, Recording, str]:
@@ -68,38 +35,13 @@ def move(out: Path, mode: str) -> tuple[Path, Recording, str]:
 
     Raises
     ------
-    DemoError : one of them failed, or did not end in time.
+    ProgramError : one of them failed, or did not end in time.
     """
-    bag = out / "bag"
-    number = 1
-    while bag.exists():
-        bag, number = out / f"bag_{number}", number + 1
-    logs = {name: out / f"{name}.log" for name in ("sim_node", "external_controller")}
     table = out / "controller.csv"
     table.unlink(missing_ok=True)
-    node = _start("sim_node", {"mode": mode, "bag_path": bag, "paused": mode == "realtime"},
-                  logs["sim_node"])
-    controller = None
-    try:
-        controller = _start("external_controller", {"log_path": table, "timeout": _PATIENCE},
-                            logs["external_controller"])
-        end = time.monotonic() + _PATIENCE
-        while controller.poll() is None and time.monotonic() < end:
-            _check(node.poll() is None, "sim_node ended by itself", logs["sim_node"])
-            time.sleep(0.05)
-        _check(controller.poll() == 0, "the controller failed", logs["external_controller"])
-        node.send_signal(signal.SIGINT)
-        try:
-            node.wait(timeout=10.0)
-        except subprocess.TimeoutExpired:
-            pass
-        _check(node.poll() == 0, "sim_node did not end well", logs["sim_node"])
-    finally:
-        for process in (controller, node):
-            if process is not None and process.poll() is None:
-                process.kill()
-                process.wait()
-    summary = logs["sim_node"].read_text(encoding="utf-8").splitlines()[-1]
+    bag, summary = run_session(
+        out, {"mode": mode, "paused": mode == "realtime"}, "external_controller",
+        {"log_path": table, "timeout": PATIENCE})
     return bag, read_csv(table, required=("voltage", "setpoint", "position")), summary
 
 

@@ -58,10 +58,10 @@ class ControllerError(PumaSimError):
 class ExternalController(Node):
     """The node ``external_controller``; `done` when the line has been followed."""
 
-    def __init__(self) -> None:
-        super().__init__("external_controller")
+    def __init__(self, name: str = "external_controller", parameters=PARAMETERS) -> None:
+        super().__init__(name)
         self.p = {name: self.declare_parameter(name, default).value
-                  for name, default in PARAMETERS.items()}
+                  for name, default in parameters.items()}
         self.arm = load_parameters(self.p["parameter_set"])
         self.settings = self.controller_settings()
         self.spinner = SingleThreadedExecutor()
@@ -106,10 +106,14 @@ class ExternalController(Node):
             raise ControllerError(f"command_interface is {interface}", where=self.p["simulator"],
                                   expected="voltage")
         self.wait_until(lambda: self.publisher.get_subscription_count() > 0)
-        self.controller = make_controller(self.p["controller"], self.arm, self.settings,
-                                          self.period, limit, setpoint_period=self.period)
+        self.controller = self.make_controller(limit)
         if paused:
             self.answer(self.simulator.set_parameters, [Parameter("paused", value=False)])
+
+    def make_controller(self, limit: float):
+        """The controller, for motors that take up to `limit` [V]."""
+        return make_controller(self.p["controller"], self.arm, self.settings, self.period, limit,
+                               setpoint_period=self.period)
 
     def on_state(self, message: JointState) -> None:
         """Answer a state with a command."""

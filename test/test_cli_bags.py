@@ -135,8 +135,8 @@ def test_a_truncated_bag_is_refused_and_recover_is_named(recorded, tmp_path, cap
 
 @pytest.mark.parametrize("change, says", [
     (lambda m: m.update(format="puma-sim session 9"), ["session format 'puma-sim session 9'"]),
-    (lambda m: m["model"]["effects"].append({"name": "backlash", "joint": 1}),
-     ["unknown effect 'backlash'"]),
+    (lambda m: m["model"]["effects"].append({"name": "magic", "joint": 1}),
+     ["unknown effect 'magic'"]),
     (lambda m: m["model"].update(format="puma-sim model 7"), ["format 'puma-sim model 7'"]),
     (lambda m: m.update(gravity_compensation=True), ["gravity_compensation"]),
     (lambda m: m["model"]["parameters"]["links"]["link1"]["mass"].update(unit="lb"), ["unit 'lb'"]),

@@ -95,7 +95,11 @@ def test_a_listed_effect_has_its_equation_units_bounds_and_an_option_that_works(
     for p in kind.parameters:
         assert f"[{p.unit}]" in out and f"{p.low:g} to {p.high:g}" in out and p.meaning in out
     (line,) = [line for line in out.splitlines() if "--effect" in line]
-    option = line.split()[1].replace("1..3", "2").replace("...", "0.5")
+    option = line.split()[1].replace("1..3", "2")
+    for p in kind.parameters:
+        # an amplitude that fits every period, else a middling value within the bounds
+        value = 0.01 if p.name == "amplitude" else min(max(0.5, p.low), p.high)
+        option = option.replace(f"{p.name}=...", f"{p.name}={value}")
     assert parse_effect(option).kind is kind
 
 
@@ -204,7 +208,7 @@ def test_an_interrupt_anywhere_in_the_run_is_130(tmp_path, monkeypatch, capsys):
     (tmp_path / "run.csv").write_text("mine")
     before = contents(tmp_path)
     for name in ("read_csv", "write_rows"):
-        def interrupted(*_):
+        def interrupted(*_, **__):
             raise KeyboardInterrupt
 
         with monkeypatch.context() as patch:

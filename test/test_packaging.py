@@ -29,7 +29,7 @@ SOURCES = [path for package in PACKAGES for path in sorted((ROOT / package).rglo
 INSTALLED = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*"))
              if path.is_file() and "__pycache__" not in path.parts]
 CONFIG_FILES = sorted(
-    path.relative_to(ROOT).as_posix() for path in (ROOT / "config").rglob("*.yaml"))
+    path.relative_to(ROOT).as_posix() for path in (ROOT / "config").rglob("*") if path.is_file())
 
 #: the module that is imported, where it is not the name of its distribution
 MODULE_OF = {"pyyaml": "yaml", "pin": "pinocchio", "roboticstoolbox-python": "roboticstoolbox"}

@@ -24,7 +24,18 @@ ALL_EFFECTS = (
     "stribeck_friction:joint=2,torque=3.3,velocity=0.07",
     "presliding_friction:joint=1,stiffness=12345.678901234567,torque=8",
     "voltage_saturation:joint=1", "current_limit:joint=3,current=2.5", "soft_stop:joint=2",
-    "payload:mass=2.5,x=0.1")
+    "payload:mass=2.5,x=0.1", "quadratic_friction:joint=1,coefficient=2.5",
+    "load_dependent_friction:joint=3,coefficient=0.1",
+    "position_dependent_friction:joint=2,torque=3,amplitude=2,angle=0.4",
+    "friction_warm_up:joint=1,share=0.5,time_constant=0.3", "voltage_dead_band:joint=1,voltage=0.3",
+    "voltage_offset:joint=3,voltage=-0.2", "supply_droop:coefficient=0.01",
+    "input_delay:time=0.0015", "torque_ripple:joint=2,amplitude=2,order=4,phase=1",
+    "resistance_drift:joint=2,share=0.2,time_constant=0.4",
+    "joint_spring:joint=3,stiffness=12,angle=0.5", "base_tilt:x=0.03,y=-0.05",
+    "impulse:joint=1,torque=40,time=0.2,width=0.05", "sensor_lag:joint=2,time_constant=0.01",
+    "encoder_offset:joint=1,angle=0.01", "joint_elasticity:joint=3,stiffness=2e4",
+    "sensor_nonlinearity:joint=3,amplitude=0.005,period=2,phase=0.3",
+    "backlash:joint=1,gap=0.001", "transmission_error:joint=2,amplitude=5e-4,order=8")
 
 
 def test_of_takes_a_set_or_a_file(tmp_path):
@@ -109,7 +120,7 @@ def effect_entry(**changes):
     (changed(effects={"a": 1}), "effects: {'a': 1}; expected a list"),
     (changed(torque_form="half"), "torque_form 'half'; expected physical or printed"),
     (changed(effects=["coulomb_friction"]), "effects: 'coulomb_friction'; expected {name: ..."),
-    (effect_entry(name="backlash"), "unknown effect 'backlash'; expected one of"),
+    (effect_entry(name="magic"), "unknown effect 'magic'; expected one of"),
     (effect_entry(name=["coulomb_friction"]), "unknown effect"),
     (effect_entry(joint=4), "effect coulomb_friction: joint 4; expected joint=1, 2 or 3"),
     (effect_entry(joint=True), "joint True; expected joint=1, 2 or 3"),

@@ -39,7 +39,7 @@ class EventDriven:
         self.q, self.w, self.i = start
         self.stops = self.starts = 0
 
-    def level(self, direction, speed):
+    def level(self, direction, speed, q):
         fp, fn, fs, vs = FRICTION[self.joint]
         return (fp if direction > 0 else fn) + fs * np.exp(-(speed / vs) ** 2)
 
@@ -59,7 +59,7 @@ class EventDriven:
     def stick(self, volts, left):
         """Rest until the torque passes a level, or the row ends; returns what is left."""
         final, tau = volts / self.R, self.L / self.R
-        loads = [self.gravity(self.q) + s * self.level(s, 0.0) for s in (1.0, -1.0)]
+        loads = [self.gravity(self.q) + s * self.level(s, 0.0, self.q) for s in (1.0, -1.0)]
         for load in loads:
             if (self.kT * self.i - load) * (1.0 if load is loads[0] else -1.0) > -1e-9:
                 self.direction = 1.0 if load is loads[0] else -1.0
@@ -80,7 +80,7 @@ class EventDriven:
 
         def f(t, y):
             torque = (self.kT * y[2] - self.gravity(y[0]) - self.H * y[1]
-                      - s * self.level(s, abs(y[1])))
+                      - s * self.level(s, abs(y[1]), y[0]))
             return [y[1], torque / self.M, (volts - self.R * y[2] - self.ke * y[1]) / self.L]
 
         def stop(t, y):

@@ -8,10 +8,8 @@ import html
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
@@ -25,15 +23,9 @@ from puma_sim_core.thesis.report import first_sentence, number_text, page
 from puma_sim_core.thesis.result import Curve, Figure, Heatmap, Result, Row
 from puma_sim_core.thesis.runner import run
 
+from browser_support import CHROMIUM, browse, check_drawn, needs_chromium, outline_of
 from cli_support import ROOT, call, puma_sim
 
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome",
-                                                "chrome"))), None)
-needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
-#: no screen, no sandbox (containers run as root), no look-ups of its own
-FLAGS = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-         "--disable-background-networking", "--disable-component-update", "--disable-sync",
-         "--hide-scrollbars", "--enable-logging=stderr", "--host-resolver-rules=MAP * ~NOTFOUND")
 #: experiments that take less than a second, with words, numbers and curves in them
 QUICK = ("2.4", "4.3", "4.4", "4.5")
 HARD = 'a < b & "c" > \'d\' $x$ \\ <script>alert(1)</script> \u00b0'
@@ -209,43 +201,6 @@ def test_dashed_curves_have_the_colour_of_their_partners():
 # -------------------------------------------------------------------------------------------- page
 
 
-class Outline(HTMLParser):
-    """Identifiers, links and open elements of a page."""
-
-    VOID = {"meta", "link", "br", "hr", "img", "input"}
-
-    def __init__(self):
-        super().__init__()
-        self.identifiers, self.references, self.open, self.tags = [], [], [], []
-
-    def handle_starttag(self, tag, attrs):
-        attrs = dict(attrs)
-        self.tags.append(tag)
-        if "id" in attrs:
-            self.identifiers.append(attrs["id"])
-        for name in ("href", "xlink:href", "src"):
-            if name in attrs:
-                self.references.append(attrs[name])
-        if tag not in self.VOID:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag, attrs):
-        self.handle_starttag(tag, attrs)
-        if tag not in self.VOID:
-            self.open.pop()
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-
-def outline_of(text) -> Outline:
-    outline = Outline()
-    outline.feed(text)
-    outline.close()
-    assert outline.open == []
-    return outline
-
-
 def test_page_stands_alone_and_every_link_in_it_leads_somewhere():
     text = page(every_kind(), seed=1)
     outline = outline_of(text)
@@ -340,73 +295,17 @@ def test_command_in_a_process_of_its_own_gives_the_same_bytes(tmp_path):
 # ----------------------------------------------------------------------------------------- browser
 
 
-PROBE = """<!DOCTYPE html><body style="margin:0">
-<iframe id="page" style="border:0;width:{width}px;height:900px" srcdoc="{page}"></iframe>
-<pre id="found"></pre>
-<script>
-document.getElementById("page").onload = function () {{
-  const inner = this.contentDocument, found = {{}};
-  const size = (each) => {{ const r = each.getBoundingClientRect(); return [r.width, r.height]; }};
-  found.drawings = [...inner.querySelectorAll("svg.drawing")].map((each) => ({{
-    size: size(each), inked: [...each.querySelectorAll("path,use,image,text")].filter((part) => {{
-      const box = part.getBBox(); return box.width + box.height > 0; }}).length,
-    outside: [...each.querySelectorAll("text")].filter((part) => {{
-      const r = part.getBoundingClientRect(), e = each.getBoundingClientRect();
-      return r.left < e.left - 2 || r.right > e.right + 2 || r.top < e.top - 2
-        || r.bottom > e.bottom + 2; }}).map((part) => part.textContent) }}));
-  found.keys = [...inner.querySelectorAll("svg.key")].map(size);
-  found.rows = [...inner.querySelectorAll("tbody tr")].map(size);
-  found.width = [inner.documentElement.scrollWidth, inner.documentElement.clientWidth];
-  found.text = inner.body.innerText.length;
-  document.getElementById("found").textContent = JSON.stringify(found);
-}};
-</script></body>"""
-
-
-def browse(path, folder, *flags):
-    """Run Chromium on a file; returns its output and what it wrote to the console."""
-    done = subprocess.run([CHROMIUM, *FLAGS, f"--user-data-dir={folder / 'profile'}", *flags,
-                           path.as_uri()], capture_output=True, text=True, timeout=120)
-    console = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
-    return done.stdout, console
-
-
-def probe(text, folder, width) -> dict:
-    """What a browser finds in the page at a width [CSS pixels]."""
-    path = folder / f"probe{width}.html"
-    path.write_text(PROBE.format(width=width, page=html.escape(text)), encoding="utf-8")
-    shown, console = browse(path, folder, "--window-size=1300,1000", "--virtual-time-budget=10000",
-                            "--dump-dom")
-    assert console == []
-    return json.loads(html.unescape(re.search(r'<pre id="found">(.*?)</pre>', shown, re.S)[1]))
-
-
-def check_drawn(text, folder) -> None:
-    """Every figure drawn, nothing wider than the page, no word cut off: on a desk and a phone."""
-    for width in (1280, 390):
-        found = probe(text, folder, width)
-        assert len(found["drawings"]) == text.count("<figure>")
-        for drawing in found["drawings"]:
-            across, down = drawing["size"]
-            assert 300 <= across <= width and 150 <= down <= 0.9 * across
-            assert drawing["inked"] >= 10
-            assert drawing["outside"] == []
-        assert all(min(size) > 0 for size in (*found["keys"], *found["rows"]))
-        assert found["width"][0] <= found["width"][1] <= width
-        assert found["text"] > 500
-
-
 @needs_chromium
 @pytest.mark.timeout(240)
 def test_browser_draws_every_kind_of_figure(tmp_path):
-    check_drawn(page(every_kind(), seed=1), tmp_path)
+    check_drawn([page(every_kind(), seed=1)], tmp_path)
 
 
 @needs_chromium
 @pytest.mark.timeout(240)
 def test_browser_draws_every_figure_of_the_experiments(tmp_path, quick_results):
     text = page(quick_results, seed=1)
-    check_drawn(text, tmp_path)
+    check_drawn([text], tmp_path)
     path = tmp_path / "thesis.html"
     path.write_text(text, encoding="utf-8")
     # as a reader opens it: from the disk, with no network
@@ -437,5 +336,5 @@ def test_all_experiments_give_one_page_and_the_same_json_twice(tmp_path):
     outline = outline_of(text)
     assert len(outline.identifiers) == len(set(outline.identifiers))
     if CHROMIUM is not None:
-        check_drawn(text, tmp_path)
+        check_drawn([text], tmp_path)
         assert browse(tmp_path / "a" / "thesis.html", tmp_path, "--dump-dom")[1] == []

@@ -19,7 +19,7 @@ from ..batch import run_batch
 from ..effects import parse_effect
 from ..kernel import FREE, STILL
 from ..plant import Plant
-from ..runs import advance, is_finite, run_voltages, store, terminal_voltage
+from ..runs import ROW, advance, is_finite, run_voltages, store, terminal_voltage
 from ..simulator import Simulator, native
 from .task import STEP, Row, Task
 
@@ -39,6 +39,8 @@ FITTING_ALL = "puma_sim, batch with states each 28 ms, on all cores"
 BATCH_RUNS = 32
 #: as a fit of parameters runs them, some tenth of a second at a time
 FITTING_RUNS = 256
+#: bristles at rest, and no links apart from the motors
+NO_LINKS = (0.0,) * 9
 #: rows of 1 ms in one of 28 ms
 _HELD = 28
 
@@ -78,12 +80,14 @@ def simulation(task: Task, effects=()):
 def one_call(task: Task):
     """The compiled call that is behind `Simulator.run`, alone."""
     body, drive, active, table = task.plant.constants
-    out = np.empty((task.steps + 1, 12))
+    out = np.empty((task.steps + 1, ROW))
     counts, steps = np.ones(task.steps, dtype=np.int64), np.full(task.steps, STEP)
     state, p = tuple(task.state.tolist()), native(table)
+    times = STEP * np.arange(task.steps)
 
     def run():
-        run_voltages(state, STILL, task.voltages, counts, steps, body, drive, active, p, FREE, out)
+        run_voltages(state, NO_LINKS, STILL, task.voltages, times, counts, steps, body, drive,
+                     active, p, FREE, out)
         return out[-1, :3].copy()
 
     return run
@@ -121,24 +125,24 @@ def without_stages(task: Task):
     body, drive, _, table = task.plant.constants
 
     @compiled
-    def run_bare(x, z, volts, counts, steps, body, drive, p, out):
+    def run_bare(x, z, m, volts, counts, steps, body, drive, p, out):
         store(out, 0, x, z)
         for r in range(len(volts)):
             v = (terminal_voltage(0, volts[r][0], p), terminal_voltage(1, volts[r][1], p),
                  terminal_voltage(2, volts[r][2], p))
-            x, z = advance(x, z, v, steps[r], counts[r], body, drive, 0, p, FREE)
+            x, z, m = advance(x, z, m, v, 0.0, steps[r], counts[r], body, drive, 0, p, FREE)
             if not is_finite(x):
                 return r + 1
             store(out, r + 1, x, z)
         return -1
 
-    out = np.empty((task.steps + 1, 12))
+    out = np.empty((task.steps + 1, ROW))
     # rows of any length, as in the kernel: a constant step would be a gain of its own
     counts, steps = np.ones(task.steps, dtype=np.int64), np.full(task.steps, STEP)
     state, p = tuple(task.state.tolist()), native(table)
 
     def run():
-        run_bare(state, STILL, task.voltages, counts, steps, body, drive, p, out)
+        run_bare(state, NO_LINKS, STILL, task.voltages, counts, steps, body, drive, p, out)
         return out[-1, :3].copy()
 
     return run

@@ -16,9 +16,11 @@ from collections.abc import Callable, Sequence
 
 from .. import __version__
 from ..errors import PumaSimError
-from . import bench, identify_controller, listing, model, recover, replay, simulate, thesis, tune
+from . import (bench, excite, explain, identify_controller, listing, model, recover, replay,
+               simulate, thesis, tune)
 
-_COMMANDS = (simulate, replay, recover, listing, model, thesis, tune, identify_controller, bench)
+_COMMANDS = (simulate, explain, excite, replay, recover, listing, model, thesis, tune,
+             identify_controller, bench)
 #: a value such as -0.1,0,0, which argparse would take for an option
 _NEGATIVE = re.compile(r"-\.?[0-9]")
 

@@ -25,15 +25,33 @@ def number(text: str, option: str) -> float:
     return value
 
 
+def whole_number(text: str, option: str, least: int) -> int:
+    """The whole number, `least` or more, that an option was given; raises ParameterError."""
+    try:
+        value = int(text)
+    except ValueError:
+        value = least - 1
+    if value < least:
+        raise ParameterError(f"'{text}'", where=option,
+                             expected=f"a whole number, {least} or more")
+    return value
+
+
 def three_numbers(text: str, option: str, unit: str) -> tuple[float, float, float]:
     """The three finite numbers that an option was given; raises ParameterError."""
+    return joint_numbers(text, option, unit, 3)
+
+
+def joint_numbers(text: str, option: str, unit: str, joints: int) -> tuple[float, ...]:
+    """A finite number for each of three joints, or for a single one; raises ParameterError."""
     try:
         values = tuple(map(float, text.split(",")))
     except ValueError:
         values = ()
-    if len(values) != 3 or not all(map(isfinite, values)):
-        raise ParameterError(f"'{text}'", where=option,
-                             expected=f"three finite numbers with commas between them [{unit}]")
+    if len(values) != joints or not all(map(isfinite, values)):
+        wanted = "one finite number" if joints == 1 else \
+            "three finite numbers with commas between them"
+        raise ParameterError(f"'{text}'", where=option, expected=f"{wanted} [{unit}]")
     return values
 
 
@@ -61,8 +79,13 @@ def plant_of(options: argparse.Namespace) -> Plant:
     effects = tuple(parse_effect(text) for text in options.effect)
     if options.model is None:
         return Plant.of(options.parameters or "bejczy", effects, options.torque_form or "physical")
-    base = load_model(options.model)
-    return Plant(base.arm, base.effects + effects, options.torque_form or base.torque_form)
+    base = load_model(options.model).with_effects(effects)
+    if options.torque_form is None:
+        return base
+    if base.joints != 3:
+        raise ParameterError(f"--torque-form with a model of {base.joints} joint",
+                             expected="a model of an arm: it is about its gears")
+    return Plant(base.arm, base.effects, options.torque_form)
 
 
 def input_files(options: argparse.Namespace) -> list[str]:

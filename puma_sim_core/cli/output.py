@@ -17,6 +17,7 @@ from ..files import is_special, whole_file
 #: a command that takes less than this shows no progress [s]
 _PATIENCE = 0.5
 _BETWEEN = 0.1
+_BAR = 24
 
 
 def check_output(path: str, inputs: Iterable[str] = ()) -> None:
@@ -92,6 +93,12 @@ class Progress:
         if self._shown:
             self._file.write("\r\x1b[K")
             self._file.flush()
+
+
+def bar(what: str, share: float) -> str:
+    """A bar as long as the share of the work that is done, and what is being done."""
+    done = round(_BAR * min(max(share, 0.0), 1.0))
+    return f"[{'#' * done}{'.' * (_BAR - done)}] {what}"
 
 
 def announce_compilation() -> None:

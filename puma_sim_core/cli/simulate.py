@@ -10,6 +10,8 @@ Out: columns time, voltage1..3, position1..3, velocity1..3, current1..3 [s, V, r
   puma-sim simulate volts.csv --out run.csv --effect coulomb_friction:joint=2,torque=12
   puma-sim simulate log.csv --out run.csv --restart 2.0
 
+A model of one joint (a pendulum, a slide) has the columns voltage1, position1 and so on alone.
+
 With --restart the file is a measured log, which has position1..3 [rad] too and may have
 velocity1..3 and current1..3: its voltages go through the arm in open loop, which starts again
 from the measured state as often as told.
@@ -23,7 +25,7 @@ import time
 from typing import TYPE_CHECKING
 
 from ..errors import LimitError, NonFiniteStateError, ParameterError, RecordingError
-from .arguments import add_plant_arguments, input_files, number, plant_of, three_numbers
+from .arguments import add_plant_arguments, input_files, joint_numbers, number, plant_of
 from .output import Progress, announce_compilation, check_output, output_file
 
 if TYPE_CHECKING:
@@ -77,14 +79,15 @@ def run(options: argparse.Namespace) -> int:
     from ..recording import read_csv, write_rows
 
     simulator = _simulator(options)
-    start = _start(options)
+    plant, joints = simulator.plant, simulator.plant.joints
+    start = _start(options, plant)
     limits = _limits(options, simulator)
     if options.restart is None:
-        log = read_csv(options.file)
+        log = read_csv(options.file, joints=joints)
         simulator.reset(**start, time=log.time[0])
     else:
         interval = number(options.restart, "--restart")
-        log = read_csv(options.file, ("voltage", "position"), ("velocity", "current"))
+        log = read_csv(options.file, ("voltage", "position"), ("velocity", "current"), joints)
     _check_last_line(options.file)
     span = float(log.time[-1]) - float(log.time[0])
     if not span < _MOST_STEPS * simulator.max_step:
@@ -110,7 +113,7 @@ def run(options: argparse.Namespace) -> int:
             write_rows(result, file, lambda rows: progress("writing", rows, len(result)))
     for sentence in exceeded:
         print(f"warning: {sentence}", file=sys.stderr)
-    for line in _summary(options, result, errors):
+    for line in _summary(options, plant.position_unit, errors):
         print(line, file=sys.stderr)
     print(f"{len(result)} row{'s' * (len(result) != 1)}, {span:.6g} s simulated by the {BACKEND} "
           f"kernel; {time.perf_counter() - begin:.2f} s in all", file=sys.stderr)
@@ -136,19 +139,23 @@ def _simulator(options) -> Simulator:
 
     step = (SERVO_PERIOD if options.max_step is None
             else check_step(number(options.max_step, "--max-step"), "--max-step"))
-    return Simulator(plant_of(options), constraints=_constraints(options.constrain), max_step=step)
+    plant = plant_of(options)
+    return Simulator(plant, constraints=_constraints(options.constrain, plant.joints),
+                     max_step=step)
 
 
-def _constraints(texts) -> list[Constraint]:
+def _constraints(texts, joints: int) -> list[Constraint]:
     """One constraint a joint from the texts of --constrain; raises ParameterError."""
     from ..simulator import CONSTRAINTS, Constraint
 
     found: dict[str, Constraint] = {}
+    names = [f"joint{j + 1}" for j in range(joints)]
     for text in texts:
         name, _, how = text.partition("=")
-        if name not in ("joint1", "joint2", "joint3"):
+        if name not in names:
+            known = "joint1, joint2 or joint3" if joints == 3 else names[0]
             raise ParameterError(f"'{text}'", where="--constrain",
-                                 expected=f"joint1, joint2 or joint3, =, {', '.join(CONSTRAINTS)}")
+                                 expected=f"{known}, =, {', '.join(CONSTRAINTS)}")
         if name in found:
             raise ParameterError(f"{name} stands twice", where="--constrain",
                                  expected="each joint once")
@@ -157,28 +164,31 @@ def _constraints(texts) -> list[Constraint]:
         except ParameterError as error:
             raise ParameterError(error.what, where=f"--constrain {text}: {error.where}",
                                  expected=error.expected) from None
-    return [found.get(name, Constraint()) for name in ("joint1", "joint2", "joint3")]
+    return [found.get(name, Constraint()) for name in names]
 
 
-def _start(options) -> dict:
+def _start(options, plant) -> dict:
     """Arguments of `Simulator.reset`."""
-    return {name: three_numbers(text, f"--{option.replace('_', '-')}", unit)
+    return {name: joint_numbers(text, f"--{option.replace('_', '-')}",
+                                unit.replace("rad", plant.position_unit), plant.joints)
             for option, name, unit in _START if (text := getattr(options, option)) is not None}
 
 
 def _limits(options, simulator) -> Limits:
     from ..simulator import Limits
 
+    joints, rad = simulator.plant.joints, simulator.plant.position_unit
+
     def greatest(name, unit):
         text, option = getattr(options, name), f"--{name.replace('_', '-')}"
-        values = None if text is None else three_numbers(text, option, unit)
+        values = None if text is None else joint_numbers(text, option, unit, joints)
         if values is not None and min(values) < 0.0:
             raise ParameterError(f"'{text}'", where=option, expected="no number below 0")
         return values
 
-    ranges = None if options.limits == "off" else simulator.plant.arm.joint_ranges
-    return Limits(ranges, greatest("max_velocity", "rad/s"),
-                  greatest("max_acceleration", "rad/s^2"))
+    ranges = None if options.limits == "off" else simulator.plant.arm.joint_ranges[:joints]
+    return Limits(ranges, greatest("max_velocity", f"{rad}/s"),
+                  greatest("max_acceleration", f"{rad}/s^2"), rad)
 
 
 def _check_last_line(path) -> None:
@@ -230,12 +240,12 @@ def _run_windows(simulator, log, interval, limits, progress):
                        report=lambda rows: progress("simulating", rows, len(log)))
 
 
-def _summary(options, result: Recording, errors: OpenLoopErrors | None):
+def _summary(options, unit: str, errors: OpenLoopErrors | None):
     """Lines on the open-loop errors, joint by joint."""
     if errors is None:
         return
     windows = "window" if errors.windows == 1 else "windows"
-    yield f"open-loop error of {errors.windows} {windows} of {float(options.restart):g} s [rad]:"
-    for j in range(3):
+    yield f"open-loop error of {errors.windows} {windows} of {float(options.restart):g} s [{unit}]:"
+    for j in range(len(errors.rms)):
         yield (f"  joint {j + 1}: rms {errors.rms[j]:.3e}, worst {errors.worst[j]:.3e} at "
                f"{errors.worst_time[j]:.6g} s")

@@ -20,7 +20,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import ParameterError, RecordingError
-from .output import Progress, check_output, output_file
+from .arguments import whole_number
+from .output import Progress, bar, check_output, output_file
 
 if TYPE_CHECKING:
     from ..thesis.registry import Experiment
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
 
 NAME = "thesis"
 SUMMARY = "list or run the experiments of the thesis, with a page of the results"
-_BAR = 24
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,8 +50,8 @@ def run(options: argparse.Namespace) -> int:
     """List or run; raises ParameterError or RecordingError."""
     from ..thesis.registry import experiments, find
 
-    seed = _whole(options.seed, "--seed", 0)
-    jobs = _cores() if options.jobs is None else _whole(options.jobs, "--jobs", 1)
+    seed = whole_number(options.seed, "--seed", 0)
+    jobs = _cores() if options.jobs is None else whole_number(options.jobs, "--jobs", 1)
     if options.all and options.number:
         raise ParameterError(f"--all and {' '.join(options.number)}", where="thesis",
                              expected="one of the two")
@@ -92,7 +92,7 @@ def _write(options: argparse.Namespace, chosen: list[Experiment], seed: int, job
     if not options.all:
         _print(results)
     with Progress() as shown:
-        texts = (page(results, seed, lambda share: shown(_bar("drawing", share), share, 1)),
+        texts = (page(results, seed, lambda share: shown(bar("drawing", share), share, 1)),
                  json_text(results, seed))
     for path, text in zip(paths, texts):
         with output_file(str(path)) as file:
@@ -106,12 +106,7 @@ def _results(chosen: list[Experiment], seed: int, jobs: int) -> dict:
 
     with Progress() as shown:
         return run_experiments(chosen, seed, jobs,
-                               lambda what, share: shown(_bar(what, share), share, 1))
-
-
-def _bar(what: str, share: float) -> str:
-    done = round(_BAR * share)
-    return f"[{'#' * done}{'.' * (_BAR - done)}] {what}"
+                               lambda what, share: shown(bar(what, share), share, 1))
 
 
 def _list(found: list[Experiment]) -> None:
@@ -158,17 +153,6 @@ def _wrapped(text: str, width: int) -> list[str]:
         # a matrix, with its columns one below the other
         return text.split("\n")
     return textwrap.wrap(text, width) or [""]
-
-
-def _whole(text: str, option: str, least: int) -> int:
-    try:
-        value = int(text)
-    except ValueError:
-        value = least - 1
-    if value < least:
-        raise ParameterError(f"'{text}'", where=option,
-                             expected=f"a whole number, {least} or more")
-    return value
 
 
 def _cores() -> int:

@@ -51,6 +51,9 @@ def run(options: argparse.Namespace) -> int:
     from ..simulator import SERVO_PERIOD
 
     plant = plant_of(options)
+    if plant.joints != 3:
+        raise ParameterError(f"a model of {plant.joints} joint", where="--model",
+                             expected="a model of an arm of three")
     loop = Loop(plant, joint, tuple(map(radians, pose)), SERVO_PERIOD if period is None else period,
                 delay)
     found = {}

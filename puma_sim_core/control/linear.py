@@ -16,16 +16,15 @@ from math import inf
 import numpy as np
 from scipy.linalg import expm
 
-from ..effects import BRISTLE, CURRENT_LIMIT, DRY, SMOOTH
 from ..plant import Plant
 from ..rigid_body import gravity_torque, inertia
 from .pid import PidGains
 
 
 def is_linear(plant: Plant) -> bool:
-    """Whether the plant has nothing that the linearised joints lack: dry friction, bristles,
-    limits of the current, stops. (Nor is a limit of the voltage in them.)"""
-    return plant.constants.active & (DRY | BRISTLE | CURRENT_LIMIT | SMOOTH) == 0
+    """Whether the plant has nothing that the linearised joints lack, as no effect that needs a
+    stage of the kernel is in them. (Nor is a limit of the voltage in them.)"""
+    return plant.constants.active == 0
 
 
 def stiffness(plant: Plant, pose) -> np.ndarray:

@@ -7,18 +7,24 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from ..errors import ParameterError
-from . import amplifier, friction, load, stops
-from .base import (ALWAYS, BRISTLE, CURRENT_LIMIT, DRY, SMOOTH, VARYING, Effect, Kind,
-                   Parameter)
+from . import amplifier, friction, load, motor, outside, sensing, stops, transmission
+from .base import (ALWAYS, BRISTLE, CURRENT_LIMIT, DELAYED, DROOP, DRY, POSED, SENSED, SMOOTH, TILT,
+                   TIMED, TWO_MASS, VARYING, Effect, Kind, Parameter)
 
-__all__ = ["ALWAYS", "BRISTLE", "CURRENT_LIMIT", "DRY", "KINDS", "SMOOTH", "VARYING", "WIDTH",
-           "Effect", "Kind", "Parameter", "active_stages", "pack", "parse_effect", "slot"]
+__all__ = ["ALWAYS", "BRISTLE", "CURRENT_LIMIT", "DELAYED", "DROOP", "DRY", "KINDS", "POSED",
+           "SENSED", "SMOOTH", "TILT", "TIMED", "TWO_MASS", "VARYING", "WIDTH", "Effect", "Kind",
+           "Parameter", "active_stages", "check_distinct", "fill_arm", "pack", "parse_effect",
+           "slot"]
 
 KINDS: dict[str, Kind] = {kind.name: kind for kind in (
     *friction.KINDS,
     *amplifier.KINDS,
     *stops.KINDS,
     *load.KINDS,
+    *transmission.KINDS,
+    *motor.KINDS,
+    *outside.KINDS,
+    *sensing.KINDS,
 )}
 
 _SLOTS: dict[str, int] = {}
@@ -89,6 +95,14 @@ def pack(effects: Iterable[Effect]) -> list[float]:
             at = j * WIDTH + slot(effect.kind)
             table[at:at + len(effect.values)] = effect.values.values()
     return table
+
+
+def fill_arm(table: list[float], kind: Kind, numbers: Iterable[float]) -> None:
+    """Put numbers that an effect of the whole arm comes down to in the places of `kind`, joint by
+    joint, in a table of `pack`."""
+    width = len(kind.parameters)
+    for n, number in enumerate(numbers):
+        table[n // width * WIDTH + slot(kind) + n % width] = float(number)
 
 
 def active_stages(effects: Iterable[Effect]) -> int:

@@ -21,6 +21,7 @@ from ..errors import ParameterError
 
 if TYPE_CHECKING:
     from ..parameters import ArmParameters
+    from .screening import Screening
 
 #: where an effect acts
 VOLTAGE, CURRENT, TORQUE, TRANSMISSION, LOAD, SENSING = (
@@ -28,6 +29,14 @@ VOLTAGE, CURRENT, TORQUE, TRANSMISSION, LOAD, SENSING = (
 
 #: stages of the kernel that cost nothing while no effect of the plant needs them (a bit mask)
 SMOOTH, DRY, VARYING, BRISTLE, CURRENT_LIMIT = 1, 2, 4, 8, 16
+#: link and rotor are not one: the plant is stepped by `two_mass`
+TWO_MASS = 4096
+#: dry friction of a joint that depends on the pose
+POSED = 8192
+#: 32 is the kernel's LOCKED. TILT: gravity of a leaning base; TIMED: what changes with time, taken
+#: once a step; DROOP: a supply that gives way; SENSED: the measured position is not the true one;
+#: DELAYED: voltages reach the motors late
+TILT, TIMED, DROOP, SENSED, DELAYED = 64, 128, 256, 512, 1024
 #: stages that are always there: constants of the plant, the voltage at the start of a step
 ALWAYS = 0
 
@@ -66,6 +75,7 @@ class Kind:
     per_joint : False for an effect of the whole arm; such a one carries no joint.
     load : for LOAD, a function (arm, values) -> arm with the load attached.
     check : what the values must be together, as (values) -> text of what was expected, or None.
+    screening : how it is found in a measured log; None where it is only simulated.
     """
 
     name: str
@@ -77,6 +87,20 @@ class Kind:
     per_joint: bool = True
     load: Callable[[ArmParameters, dict[str, float]], ArmParameters] | None = None
     check: Callable[[dict[str, float]], str | None] | None = None
+    screening: Screening | None = None
+
+    def __reduce_ex__(self, protocol):
+        """By its name: its functions cannot go to another process."""
+        from . import KINDS
+
+        registered = KINDS.get(self.name) is self
+        return (_registered, (self.name,)) if registered else super().__reduce_ex__(protocol)
+
+
+def _registered(name: str) -> Kind:
+    from . import KINDS
+
+    return KINDS[name]
 
 
 @dataclass(frozen=True)

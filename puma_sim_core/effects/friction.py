@@ -9,10 +9,11 @@ With `PRESLIDING` that same sum acts through an elastic bristle instead of a jum
 
 from __future__ import annotations
 
-from math import exp
+from math import cos, exp
 
 from ..backend import inlined
-from .base import ALWAYS, BRISTLE, DRY, TORQUE, VARYING, Kind, Parameter
+from .base import ALWAYS, BRISTLE, DRY, POSED, SMOOTH, TIMED, TORQUE, VARYING, Kind, Parameter
+from .columns import SCREENINGS
 
 #: past this exponent the Stribeck bump is below the last bit of any level it is added to
 _NEGLIGIBLE_EXPONENT = 40.0
@@ -25,12 +26,14 @@ VISCOUS = Kind(
 
 COULOMB = Kind(
     name="coulomb_friction", acts=TORQUE, stage=DRY,
+    screening=SCREENINGS["coulomb_friction"],
     equation="tau = Fc sgn(qd); at rest any torque up to Fc is held",
     sentence="Dry friction of one level: a step at each reversal, and stick at rest.",
     parameters=(Parameter("torque", "N.m", 0.0, 500.0, "Fc, at the joint"),))
 
 ASYMMETRIC_COULOMB = Kind(
     name="asymmetric_coulomb_friction", acts=TORQUE, stage=DRY,
+    screening=SCREENINGS["asymmetric_coulomb_friction"],
     equation="tau = Fp for qd > 0, -Fn for qd < 0; at rest any torque from -Fn to Fp is held",
     sentence="Dry friction with a level of its own in each direction, as real PUMA drives have.",
     parameters=(Parameter("positive", "N.m", 0.0, 500.0, "Fp, level for qd > 0"),
@@ -38,14 +41,18 @@ ASYMMETRIC_COULOMB = Kind(
 
 STRIBECK = Kind(
     name="stribeck_friction", acts=TORQUE, stage=DRY | VARYING,
-    equation="tau = Fs exp(-(qd/vs)^2) sgn(qd), on top of Coulomb friction",
+    screening=SCREENINGS["stribeck_friction"],
+    equation="tau = (Fc + Fs exp(-(qd/vs)^2)) sgn(qd), on top of other dry friction",
     sentence="The extra dry friction at very low speed that makes an arm jerk when it crawls.",
     parameters=(Parameter("torque", "N.m", 0.0, 500.0, "Fs, excess over the sliding level"),
                 Parameter("velocity", "rad/s", 1e-4, 5.0, "vs, Stribeck velocity", neutral=1.0,
-                          default=0.05)))
+                          default=0.05),
+                Parameter("sliding", "N.m", 0.0, 500.0, "Fc, Coulomb level under the bump",
+                          default=0.0)))
 
 PRESLIDING = Kind(
     name="presliding_friction", acts=TORQUE, stage=BRISTLE,
+    screening=SCREENINGS["presliding_friction"],
     equation="tau = sigma0 z, zdot = qd - |qd| z sigma0 / level(qd)  (Dahl 1968)",
     sentence="A joint's dry friction acting through an elastic bristle: like a spring before it "
              "slides, with a hysteresis loop at each reversal.",
@@ -53,7 +60,39 @@ PRESLIDING = Kind(
                 Parameter("torque", "N.m", 0.0, 500.0,
                           "sliding level, added to the joint's other dry friction", default=0.0)))
 
-KINDS = (VISCOUS, COULOMB, ASYMMETRIC_COULOMB, STRIBECK, PRESLIDING)
+QUADRATIC = Kind(
+    name="quadratic_friction", acts=TORQUE, stage=SMOOTH,
+    screening=SCREENINGS["quadratic_friction"],
+    equation="tau = c qd |qd|",
+    sentence="Drag that grows with the square of the speed, as of churned grease or a fan.",
+    parameters=(Parameter("coefficient", "N.m.s2/rad2", 0.0, 500.0, "c, at the joint"),))
+
+LOAD_DEPENDENT = Kind(
+    name="load_dependent_friction", acts=TORQUE, stage=DRY | POSED,
+    screening=SCREENINGS["load_dependent_friction"],
+    equation="tau = mu |G(q)| sgn(qd); at rest any torque up to mu |G(q)| is held",
+    sentence="Dry friction of the gears that grows with the weight they carry in a pose.",
+    parameters=(Parameter("coefficient", "1", 0.0, 1.0, "mu, of the joint's gravity torque"),))
+
+POSITION_DEPENDENT = Kind(
+    name="position_dependent_friction", acts=TORQUE, stage=DRY | POSED,
+    screening=SCREENINGS["position_dependent_friction"],
+    equation="tau = max(F0 + F1 cos(q - f), 0) sgn(qd); at rest any torque up to it is held",
+    sentence="Dry friction that is greater in one part of the joint's range than in another.",
+    parameters=(Parameter("torque", "N.m", 0.0, 500.0, "F0, mean level"),
+                Parameter("amplitude", "N.m", 0.0, 500.0, "F1, by which it varies"),
+                Parameter("angle", "rad", -10.0, 10.0, "f, where it is greatest", default=0.0)))
+
+WARM_UP = Kind(
+    name="friction_warm_up", acts=TORQUE, stage=TIMED,
+    screening=SCREENINGS["friction_warm_up"],
+    equation="H(t) = H (1 - share (1 - exp(-t/T))), H of viscous_friction",
+    sentence="The joint's viscous friction falls as its grease gets warm; at time 0 it is cold.",
+    parameters=(Parameter("share", "1", 0.0, 1.0, "part of H that is lost in the end"),
+                Parameter("time_constant", "s", 0.01, 1e5, "T", neutral=1.0)))
+
+KINDS = (VISCOUS, COULOMB, ASYMMETRIC_COULOMB, STRIBECK, PRESLIDING, QUADRATIC, LOAD_DEPENDENT,
+         POSITION_DEPENDENT, WARM_UP)
 
 
 @inlined
@@ -76,6 +115,38 @@ def stribeck_level(p, k, speed):
     ratio = speed / p[k + 1]
     ratio *= ratio
     return p[k] * exp(-ratio) if ratio < _NEGLIGIBLE_EXPONENT else 0.0
+
+
+@inlined
+def stribeck_sliding_level(p, k):
+    """Coulomb level [N.m] under the Stribeck bump."""
+    return p[k + 2]
+
+
+@inlined
+def load_level(p, k, gravity):
+    """Level [N.m] where the joint bears the gravity torque `gravity` [N.m]."""
+    return p[k] * abs(gravity)
+
+
+@inlined
+def position_level(p, k, q):
+    """Level [N.m] at position q [rad]."""
+    if p[k + 1] == 0.0:
+        return p[k]
+    return max(p[k] + p[k + 1] * cos(q - p[k + 2]), 0.0)
+
+
+@inlined
+def quadratic_torque(p, k, qd):
+    """Drag [N.m] at velocity qd [rad/s]."""
+    return p[k] * qd * abs(qd)
+
+
+@inlined
+def warmed_share(p, k, time):
+    """Share of the viscous friction that is left after `time` [s]; all of it before 0."""
+    return 1.0 - p[k] * (1.0 - exp(-max(time, 0.0) / p[k + 1]))
 
 
 @inlined

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .base import ALWAYS, LOAD, Kind, Parameter
+from .columns import SCREENINGS
 
 if TYPE_CHECKING:
     from ..parameters import ArmParameters
@@ -37,6 +38,7 @@ def attach_payload(arm: ArmParameters, values: dict[str, float]) -> ArmParameter
 
 PAYLOAD = Kind(
     name="payload", acts=LOAD, stage=ALWAYS,
+    screening=SCREENINGS["payload"],
     equation="point mass m at (x, y, z) in the frame of link 3",
     sentence="A load at the tip: it adds inertia and weight to all joints in fixed ratios.",
     parameters=(Parameter("mass", "kg", 0.0, 50.0, "m"),

@@ -8,9 +8,11 @@ from math import inf
 
 from ..backend import inlined
 from .base import SMOOTH, TORQUE, Kind, Parameter
+from .columns import SCREENINGS
 
 SOFT_STOP = Kind(
     name="soft_stop", acts=TORQUE, stage=SMOOTH,
+    screening=SCREENINGS["soft_stop"],
     equation="tau = K d + B qd while d = q - upper > 0 or d = q - lower < 0; never pulls back",
     sentence="A stiff stop at each end of the joint's range, or where it is put.",
     parameters=(Parameter("lower", "rad", -10.0, 10.0, "where the lower stop begins",

@@ -82,7 +82,8 @@ def rk4(plant: Plant, start, volts, count: int, row: float = ROW) -> Run:
     out = np.zeros((len(volts) + 1, 12))
     counts = np.full(len(volts), count, dtype=np.int64)
     steps = np.full(len(volts), row / count)
-    failed = run_voltages(tuple(float(value) for value in start), (0.0, 0.0, 0.0), _rows(volts),
+    failed = run_voltages(tuple(float(value) for value in start), (0.0,) * 9, (0.0, 0.0, 0.0),
+                          _rows(volts), _rows(row * np.arange(len(volts))),
                           counts if BACKEND == "numba" else counts.tolist(), _rows(steps), body,
                           drive, active, native(table), FREE, out)
     return Run(out[:, :9], 4 * len(volts) * count, failed)

@@ -4,11 +4,11 @@
 
 from __future__ import annotations
 
-import json
 import math
 from typing import Any, Mapping
 
 from .. import __version__
+from .. import json_text as layout
 from .drawing import thin
 from .registry import Experiment
 from .result import Figure, Heatmap, Result, Row
@@ -31,7 +31,7 @@ def json_text(results: Mapping[str, tuple[Experiment, Result]], seed: int) -> st
                          "figures": [_figure(figure) for figure in result.figures],
                          "numbers": dict(result.numbers)}
                         for found, result in results.values()]}
-    return _text(content, "") + "\n"
+    return layout.json_text(content, sort_keys=True)
 
 
 def _row(row: Row) -> dict[str, Any]:
@@ -55,18 +55,3 @@ def _figure(figure: Figure | Heatmap) -> dict[str, Any]:
 
 def _list(values) -> list[float | None]:
     return [value if math.isfinite(value) else None for value in values.tolist()]
-
-
-def _text(value: Any, indent: str) -> str:
-    """Mappings and lists of mappings over many lines, everything else in one."""
-    inner = indent + " "
-    if isinstance(value, dict) and value:
-        lines = [f"{inner}{_flat(name)}: {_text(value[name], inner)}" for name in sorted(value)]
-        return "{\n" + ",\n".join(lines) + f"\n{indent}}}"
-    if isinstance(value, list) and value and isinstance(value[0], (dict, list)):
-        return "[\n" + ",\n".join(inner + _text(item, inner) for item in value) + f"\n{indent}]"
-    return _flat(value)
-
-
-def _flat(value: Any) -> str:
-    return json.dumps(value, ensure_ascii=False, allow_nan=False, sort_keys=True)

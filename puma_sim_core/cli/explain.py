@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""Find what the model lacks in measured logs: name the effect, add it, compare before and after.
+
+A log is a CSV with columns time, voltage1..n, position1..n [s, V, rad or m], which may have
+velocity*, current*, setpoint* and enable (0: drive off); or a bag of sim_node. Several logs are
+explained together.
+
+  puma-sim explain run.csv --out report
+  puma-sim explain first.csv second.csv --held-out third.csv --out report
+  puma-sim explain rig.csv --plant pendulum --columns time=t_s,voltage1=motor_V,position1=q_rad \\
+      --out report
+  puma-sim explain later.csv --model report/model.yaml --out report2
+
+The folder gets report.json (config/explain_report.schema.json describes it), report.html for a
+person, and model.yaml, the model with what was found in it, which simulate, sim_node and explain
+take. The exit status is 0 for every verdict, DATA_FAULT among them: the log was read, and the
+report says what is wrong with it; a DATA_FAULT has no model.yaml. It is 2 where there is nothing
+to report on, such as a file that cannot be read.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+
+from ..errors import ParameterError
+from .arguments import whole_number
+from .output import Progress, announce_compilation, bar
+
+NAME = "explain"
+SUMMARY = "find the physical effect that the model lacks in a measured log"
+
+_COLUMN = re.compile(r"time|enable|(voltage|position|velocity|current|setpoint)[1-9][0-9]*")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("logs", metavar="LOG", nargs="+", help="CSV or bag to explain")
+    parser.add_argument("--held-out", metavar="LOG", nargs="+", action="extend", default=[],
+                        help="logs kept back to measure the errors on (default: blocks of LOG)")
+    parser.add_argument("--out", metavar="DIR", required=True,
+                        help="folder for report.json, report.html and model.yaml; made if it does "
+                             "not exist")
+    parser.add_argument("--plant", metavar="NAME|FILE", default="puma560",
+                        help="mechanism: puma560 (default), pendulum, slide, or a YAML file")
+    source = parser.add_mutually_exclusive_group()
+    source.add_argument("--parameters", metavar="SET|FILE",
+                        help="published set or parameter file to start from (`puma-sim list`)")
+    source.add_argument("--model", metavar="FILE",
+                        help="model file to start from: parameters and effects in one")
+    parser.add_argument("--columns", metavar="OURS=THEIRS,...", action="append", default=[],
+                        help="names of a CSV's columns, such as "
+                             "time=t_s,voltage1=motor_V,position1=q_rad; may stand more than once")
+    parser.add_argument("--seed", metavar="N", default="0",
+                        help="whole number from which all that is random follows (default 0)")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Explain, write, and print the verdict and the paths; raises the errors of the package."""
+    seed = whole_number(options.seed, "--seed", 0)
+    columns = _columns(options.columns)
+    _check_logs(options.logs, options.held_out)
+
+    from ..loop.output import check_folder, write_explanation
+
+    inputs = [*options.logs, *options.held_out, options.plant, options.parameters, options.model]
+    check_folder(options.out, [path for path in inputs if path is not None])
+    from ..loop import explain
+
+    announce_compilation()
+    with Progress() as shown:
+        explanation = explain(
+            options.logs, held_out=options.held_out, plant=options.plant,
+            parameters=options.parameters, model=options.model, columns=columns, seed=seed,
+            progress=lambda what, share: shown(bar(what, share), share, 1))
+        paths = write_explanation(explanation, options.out)
+    print(explanation.sentence)
+    for path in paths:
+        print(path)
+    return 0
+
+
+def _columns(texts: list[str]) -> dict[str, str] | None:
+    """Our names to the file's; None without any; raises ParameterError."""
+    found: dict[str, str] = {}
+    for item in (part for text in texts for part in text.split(",")):
+        ours, equals, theirs = (part.strip() for part in item.partition("="))
+        if not (ours and equals and theirs):
+            raise ParameterError(f"'{item}'", where="--columns",
+                                 expected="OURS=THEIRS, such as time=t_s")
+        if not _COLUMN.fullmatch(ours):
+            raise ParameterError(f"unknown column '{ours}'", where="--columns",
+                                 expected="time, enable, voltage1, position1, velocity1, current1, "
+                                          "setpoint1, voltage2 and so on")
+        if ours in found:
+            raise ParameterError(f"'{ours}' is given twice", where="--columns",
+                                 expected="each once")
+        if theirs in found.values():
+            raise ParameterError(f"'{theirs}' is given for two columns", where="--columns",
+                                 expected="a column of the file for one of ours")
+        found[ours] = theirs
+    return found or None
+
+
+def _check_logs(logs: list[str], held_out: list[str]) -> None:
+    """Refuse a log that stands twice: it would count twice, or not be held out."""
+    seen: dict[str, str] = {}
+    for role, paths in (("LOG", logs), ("--held-out", held_out)):
+        for path in paths:
+            real = os.path.realpath(path)
+            if real in seen:
+                what = "stands twice" if seen[real] == role else "is to be fitted and held out"
+                raise ParameterError(what, where=path, expected="each log once")
+            seen[real] = role

@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""From measured logs to what the model lacks: the whole method, stage by stage."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .. import __version__
+from ..effects import KINDS
+from ..errors import NonFiniteStateError, RecordingError
+from ..mechanisms import load_mechanism
+from . import feedback, intervals, outcome, shape
+from .causal import CausalScreen
+from .detect import detectable
+from .gate import check
+from .ingest import Log, read_log
+from .prediction import Point, PredictionFit, Predictor
+from .problem import Problem
+from .result import DATA_FAULT, Explanation
+from .sampling import sample
+from .search import Search
+from .selection import LEAST_GAIN, Selection
+from .validate import Validation
+
+#: least and greatest noise of a row's voltage that the observer reckons with, in volts of a
+#: middling friction torque
+_LEAST_NOISE, _GREATEST_NOISE = 0.02, 0.5
+
+
+def explain(logs: str | Log | Sequence, *, held_out: Sequence = (), plant: str = "puma560",
+            parameters: str | None = None, model=None, columns: Mapping[str, str] | None = None,
+            seed: int = 0, progress: Callable[[str, float], None] | None = None) -> Explanation:
+    """What the model lacks, by measured logs.
+
+    Parameters
+    ----------
+    logs : paths of CSV files or bags, or `Log` objects; one or several.
+    held_out : further ones that are used for nothing but the errors; without any, blocks of the
+        logs are kept back.
+    plant : "puma560", "pendulum", "slide", or the path of a mechanism file.
+    parameters, model : a parameter set, or a model file, to start from.
+    columns : channel -> column of the files, such as {"voltage1": "motor_V"}.
+    seed : of the placebos and of simulated noise.
+    progress : told (what is done, share 0..1).
+
+    Returns
+    -------
+    Explanation : with verdict DATA_FAULT, and nothing else, where the data cannot be used.
+
+    Raises
+    ------
+    RecordingError : a file that cannot be read, or is too short for any analysis.
+    ParameterError, ModelError : a mechanism, set or model that cannot be used.
+    """
+    begin = clock.perf_counter()
+    progress = progress or (lambda what, share: None)
+    mechanism = load_mechanism(plant, parameters=parameters, model=model)
+    progress("reading", 0.0)
+    fitted, kept = (_logs(given, columns, mechanism.joints) for given in (logs, held_out))
+    if not fitted:
+        raise RecordingError("no log", where="explain", expected="one at least")
+    common = dict(mechanism=mechanism.name, logs=tuple(log.name for log in fitted),
+                  held_out_logs=tuple(log.name for log in kept), version=__version__, seed=seed,
+                  position_unit=mechanism.position_unit)
+    faults, notes = [], []
+    for log in (*fitted, *kept):
+        found, said = check(log, mechanism)
+        faults += found
+        notes += [*log.notes, *said]
+    if faults:
+        return Explanation(DATA_FAULT, outcome.fault_sentence(faults), faults=tuple(faults),
+                           notes=tuple(notes), seconds=clock.perf_counter() - begin, **common)
+    analysis = Analysis.of(fitted, kept, mechanism, seed, progress)
+    return analysis.explanation(tuple(notes), begin, common)
+
+
+def _logs(given, columns, joints) -> list[Log]:
+    if isinstance(given, (str, Log)) or hasattr(given, "__fspath__"):
+        given = [given]
+    return [log if isinstance(log, Log) else read_log(log, columns, joints) for log in given]
+
+
+@dataclass
+class Analysis:
+    """Everything that the stages leave behind."""
+
+    logs: list
+    mechanism: object
+    problem: Problem
+    search: Search
+    predictor: Predictor
+    selected: object
+    volts: np.ndarray
+    seed: int
+    progress: Callable
+
+    @classmethod
+    def of(cls, fitted, kept, mechanism, seed, progress) -> Analysis:
+        """Steps 1 to 6."""
+        logs = [*fitted, *kept]
+        sampled = sample(logs)
+        segments = range(len(fitted), len(logs))
+        problem = Problem(sampled, mechanism, tuple(segments), hold_back=not kept)
+        library = {name: kind for name, kind in KINDS.items()
+                   if kind.screening is not None and mechanism.possible(name)}
+        search = Search(problem, library, progress)
+        progress("retuning", 0.03)
+        retuned = search.retune(mechanism.start)
+        bank = search.bank(retuned.theta)
+        volts = _row_noise(search, retuned)
+        predictor = Predictor(logs, mechanism, [_held(problem, n) for n in range(len(logs))],
+                              volts, sampled.position_noise)
+        selected = Selection(search, predictor, library, seed, progress).run(retuned.theta, bank)
+        return cls(logs, mechanism, problem, search, predictor, selected, volts, seed, progress)
+
+    def explanation(self, notes, begin, common) -> Explanation:
+        """Steps 7 to 11."""
+        m, p, s = self.mechanism, self.problem, self.selected
+        fit = PredictionFit(self.predictor, s.weighting)
+        final = s.final
+        self.progress("what is left", 0.87)
+        causal = CausalScreen(fit, final.point, final.errors,
+                              _refreshed(fit, final), p)
+        rng = np.random.default_rng(self.seed + 1)
+        shapes = shape.scores(causal, m.position_unit, np.sort(rng.uniform(0.06, 0.94, 16)))
+        self.progress("what could have been seen", 0.93)
+        threshold = max(LEAST_GAIN, s.stages[-1].threshold)
+        rows = []
+        for name, kind in self.search.library.items():
+            for j in ([None] if not kind.per_joint else range(m.joints)):
+                pairs = [(c, causal.gram(c)) for c in kind.screening.candidates(causal.signals, j)]
+                rows.append(detectable(name, None if j is None else j + 1, kind, pairs,
+                                       threshold))
+        self.progress("validating", 0.96)
+        points = {"nominal": Point(m.start, ()), "retuned": s.retuned.point,
+                  "augmented": final.point}
+        plants = {name: m.plant(point.theta, point.effects) for name, point in points.items()}
+        residuals = {name: self._volts(plant) for name, plant in plants.items()}
+        model = plants["augmented"]
+        validation = Validation(p, self.logs, self.seed)
+        floor = self.predictor.floor_in_volts(p.sampled.cutoffs[1])
+        errors = validation.errors(plants, residuals, self.predictor, self.volts, floor)
+        linear = p.linear(final.point.theta, final.point.effects)
+        bias = feedback.test(p, self.search.settle(linear, ()))
+        spread = intervals.intervals(fit, final)
+        return outcome.compose(self, errors, residuals, shapes, rows, bias, spread, model, notes,
+                               begin, common)
+
+
+    def _volts(self, plant) -> np.ndarray:
+        """(N, J) voltages [V] that a plant lacks along the logs, at the rows of the observer."""
+        try:
+            errors = self.predictor.errors(plant)
+        except NonFiniteStateError:
+            errors = np.full(self.predictor.fit_rows.shape, np.nan)
+        return self.predictor.in_volts(errors, self.problem.sampled.cutoffs[1])
+
+
+def _refreshed(fit, final) -> np.ndarray:
+    """Derivatives at the final model by everything that is free in it."""
+    return np.hstack([fit.of_theta(final.point, final.errors),
+                      fit.of_effects(final.point, final.errors, final.names)[0]])
+
+
+def _held(problem: Problem, number: int):
+    """Function of times [s] of one log: whether they are kept back."""
+    rows = problem.segment == number
+    time = problem.sampled.time[problem.kept[rows]]
+    held = problem.held[rows].astype(float)
+    return lambda t: np.interp(t, time, held) > 0.5
+
+
+def _row_noise(search: Search, fit) -> np.ndarray:
+    """(J,) standard deviation [V] of the noise of one row's voltage, without what may be an effect."""
+    m = search.problem.mechanism
+    drive = m.drive(m.start)
+    unit = drive.volts_per_torque * np.asarray(m.torque_scale)
+    weights = search.noise_of(fit.residual(), white_only=True)
+    volts = np.sqrt([w[0] for w in weights])
+    return np.clip(volts, _LEAST_NOISE * unit, _GREATEST_NOISE * unit)

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""Filters without phase, and the derivatives that go with them, by the fast Fourier transform.
+
+Both filters of the loop have the response H(f) = 1 / (1 + (f/fc)^8): flat to half of fc, 1/2 at fc,
+1/257 at twice fc. A series is continued beyond its ends by its own point reflection, so that
+a slope goes on; rows within `edge` of an end still depend on that and are not to be used.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import fft
+
+#: half of the exponent of the response
+_ORDER = 8
+#: time constants 1/fc that the response takes to die away
+_SETTLING = 2.5
+
+
+def response(frequency, cutoff: float) -> np.ndarray:
+    """H(f) of the filter at frequencies [Hz], without phase; 1/2 at the cutoff [Hz]."""
+    return 1.0 / (1.0 + (np.asarray(frequency) / cutoff) ** _ORDER)
+
+
+def edge(cutoff: float) -> float:
+    """Time [s] at each end of a stretch that a filter of this cutoff [Hz] spoils."""
+    return _SETTLING / cutoff
+
+
+def low_pass(values: np.ndarray, step: float, cutoff: float, orders=(0,),
+             lag: float = 0.0) -> list[np.ndarray]:
+    """Derivatives of a filtered series.
+
+    values (n, ...) : samples each `step` [s], along the first axis.
+    orders : which derivatives; 0 is the filtered series itself.
+    lag : multiplies each by (1 + lag d/dt), `lag` in seconds.
+
+    Returns
+    -------
+    One array (n, ...) for each of `orders`, in units of values / s^order.
+    """
+    n = len(values)
+    pad = min(n - 1, int(np.ceil(2.0 * edge(cutoff) / step)))
+    before = 2.0 * values[:1] - values[pad:0:-1]
+    after = 2.0 * values[-1:] - values[-2:-pad - 2:-1]
+    # a straight line joins the ends: what is transformed is periodic, without a jump
+    long = np.concatenate([before, values, after])
+    m = len(long)
+    slope = (long[-1] - long[0]) / ((m - 1) * step)
+    ramp = step * np.arange(m)
+    ramp = ramp.reshape(-1, *(1,) * (values.ndim - 1))
+    flat = long - long[0] - slope * ramp
+    size = fft.next_fast_len(m, real=True)
+    spectrum = fft.rfft(flat, size, axis=0)
+    omega = 2j * np.pi * fft.rfftfreq(size, step)
+    gain = response(fft.rfftfreq(size, step), cutoff) * (1.0 + lag * omega)
+    shape = (-1, *(1,) * (values.ndim - 1))
+    keep = slice(pad, pad + n)
+    result = []
+    for order in orders:
+        part = fft.irfft(spectrum * (gain * omega ** order).reshape(shape), size, axis=0)[keep]
+        if order == 0:
+            part = part + long[0] + slope * (ramp[keep] + lag)
+        elif order == 1:
+            part = part + slope
+        result.append(part)
+    return result

@@ -1,0 +1,240 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""The verdict, and what is said of every hypothesis (steps 5 and 9)."""
+
+from __future__ import annotations
+
+import time as clock
+
+import numpy as np
+
+from ..effects import KINDS
+from ..effects.columns import EXACT_TIES
+from .next_experiment import next_experiment
+from .result import (NAMED, NAMED_WITH_REMAINDER, NOTHING_MISSING, UNNAMED, Drawn, Explanation,
+                     Fault, Hypothesis, Interval, NamedEffect, Ranked, RuledOut)
+from .selection import tied
+from .shape import describe
+
+#: least gain [nat] of a remainder, and its least share of the gain of the first effect
+_REMAINDER, _REMAINDER_SHARE = 12.0, 0.03
+#: what a remainder's gain must exceed the placebos' greatest by
+_FACTOR, _MARGIN = 1.3, 3.0
+#: a remainder that is this share of what the effects explain leaves no name standing
+_OVERWHELMING = 0.6
+#: lags of the whiteness plot [s]
+_LAGS = 0.5
+
+
+def fault_sentence(faults: list[Fault]) -> str:
+    """The verdict on faulty data in one sentence."""
+    first = faults[0]
+    row = "" if first.row is None else f", row {first.row}"
+    more = f", and {len(faults) - 1} more" if len(faults) > 1 else ""
+    return f"The data cannot be used: {first.channel}{row}: {first.what}{more}."
+
+
+def compose(analysis, errors, residuals, shapes, detect, bias, spread, model, notes, begin,
+            common) -> Explanation:
+    """The explanation from all stages."""
+    s = analysis.selected
+    names = _named(analysis, spread)
+    remainder = _remainder(s, shapes)
+    explained = sum(stage.accepted.gain for stage in s.stages if stage.accepted is not None)
+    if not names:
+        verdict = UNNAMED if remainder is not None else NOTHING_MISSING
+    elif remainder is None:
+        verdict = NAMED
+    elif remainder[0].gain > _OVERWHELMING * explained:
+        verdict, names = UNNAMED, ()
+    else:
+        verdict = NAMED_WITH_REMAINDER
+    curve = None
+    if remainder is not None:
+        ranking = tuple((_axis_name(scored, axis), float(scored.gain))
+                        for scored, _, axis in shapes[:8])
+        curve = describe(remainder[0], remainder[2], ranking)
+    m = analysis.mechanism
+    ties = [(Hypothesis(e.name, e.joint), other) for e in names for other in e.tied_with]
+    unseen = [d for d in detect if not d.excited]
+    return Explanation(
+        verdict, _sentence(verdict, names, curve, errors, m), names, errors, curve, (),
+        tuple(detect), next_experiment(m, ties, unseen, common["logs"][0]), bias,
+        _ranking(s, names), (*notes, *_exact_ties(names)), _drawn(analysis, residuals), model,
+        parameters=_parameters(m, s), seconds=clock.perf_counter() - begin, **common)
+
+
+def _named(analysis, spread) -> tuple[NamedEffect, ...]:
+    s = analysis.selected
+    named = []
+    for number, key in enumerate(s.keys):
+        effect = s.final.point.effects[number]
+        units = {p.name: p.unit for p in effect.kind.parameters}
+        parameters = {}
+        for name, value in effect.values.items():
+            if (number, name) in spread:
+                value, low, high = spread[number, name]
+                parameters[name] = Interval(float(value), float(low), float(high), units[name])
+            elif np.isfinite(value) and _asked(effect, name):
+                parameters[name] = Interval(float(value), float(value), float(value), units[name])
+        stage = next((st for st in s.stages if st.accepted is not None
+                      and st.accepted.key == key), None)
+        if stage is None:
+            named.append(NamedEffect(key[0], key[1], parameters, 0.0))
+            continue
+        ties, out = [], []
+        for t in stage.trials:
+            if t.key == key or t.key in s.keys:
+                continue
+            if t.problem is None and tied(stage.accepted, t):
+                ties.append(Hypothesis(t.name, t.joint))
+            else:
+                out.append(RuledOut(t.name, t.joint, _because(key[0], t, stage.accepted)))
+        seen = {(t.name, t.joint) for t in stage.trials}
+        for other, text in effect.kind.screening.look_alikes:
+            joint = key[1] if other in KINDS and KINDS[other].per_joint else None
+            if other in KINDS and (other, joint) not in seen and (other, joint) not in s.keys:
+                out.append(RuledOut(other, joint, f"the screening gave it no evidence; {text}"))
+        named.append(NamedEffect(key[0], key[1], parameters, float(stage.accepted.gain),
+                                 tuple(ties), tuple(out)))
+    return tuple(named)
+
+
+def _asked(effect, name) -> bool:
+    """Whether a parameter that is not fitted says something: not a default of the structure."""
+    spec = next(p for p in effect.kind.parameters if p.name == name)
+    return spec.from_arm is None and name not in ("motor_share", "x", "y")
+
+
+def _because(named: str, trial, best) -> str:
+    if trial.problem is not None:
+        return f"it would need an impossible value: {trial.problem}"
+    text = dict(KINDS[named].screening.look_alikes).get(trial.name)
+    lower = f"its evidence is lower by {best.gain - trial.gain:.0f} nat"
+    return f"{lower}: {text}" if text else lower
+
+
+def _remainder(s, shapes):
+    """The best free curve, where it is more than chance and more than inexactness."""
+    if not shapes:
+        return None
+    chance = max((float(np.max(placebo)) for _, placebo, _ in shapes), default=0.0)
+    first = next((st.accepted.gain for st in s.stages if st.accepted is not None), 0.0)
+    best = shapes[0]
+    need = max(_REMAINDER, _FACTOR * chance + _MARGIN, _REMAINDER_SHARE * first)
+    return best if best[0].gain > need else None
+
+
+def _axis_name(scored, axis) -> str:
+    return f"{scored.name} (joint {scored.joint})" + (" with the sign of the velocity"
+                                                      if axis is not None and axis.signed else "")
+
+
+def _sentence(verdict, names, curve, errors, mechanism) -> str:
+    held = errors["held_out"].voltage_rms
+    def change(joint):
+        js = range(len(held.retuned)) if joint is None else [joint - 1]
+        before = np.sqrt(np.mean([held.retuned[j] ** 2 for j in js]))
+        after = np.sqrt(np.mean([held.augmented[j] ** 2 for j in js]))
+        return f"{before:.3g} to {after:.3g} V"
+    if verdict == NOTHING_MISSING:
+        return ("Nothing is missing that this log could show: with retuned parameters the model "
+                "explains it down to its noise.")
+    if verdict == UNNAMED:
+        what = (f"a line at {curve.line_hz:.2f} Hz" if curve.line_hz is not None
+                else f"a curve over {curve.axis}")
+        return (f"Something is missing on joint {curve.joint} that no effect of the library "
+                f"explains: {what}.")
+    parts = []
+    for e in names:
+        where = "the whole arm" if e.joint is None else f"joint {e.joint}"
+        size = ", ".join(f"{n} {i.value:.3g} {i.unit if i.unit != '1' else ''}".strip()
+                         for n, i in e.parameters.items())
+        parts.append(f"{e.name} on {where} ({size}; the error on held-out rows falls from "
+                     f"{change(e.joint)})")
+    text = f"The model lacks {' and '.join(parts)}"
+    if verdict == NAMED_WITH_REMAINDER:
+        text += (f"; beside that something over {curve.axis} of joint {curve.joint} is left that "
+                 f"has no name")
+    return text + "."
+
+
+def _ranking(s, names) -> tuple[Ranked, ...]:
+    chosen = {(e.name, e.joint): e for e in names}
+    rows = {}
+    for stage in s.stages[:1]:
+        best = stage.accepted or (stage.trials[0] if stage.trials else None)
+        for t in stage.trials:
+            if t.key in chosen:
+                verdict = "named"
+            elif t.problem is not None:
+                verdict = f"it would need an impossible value: {t.problem}"
+            elif stage.accepted is not None and tied(best, t):
+                verdict = "tied"
+            elif stage.accepted is None:
+                verdict = f"below the threshold of {stage.threshold:.0f} nat"
+            else:
+                verdict = f"lower than {best.name} by {best.gain - t.gain:.0f} nat"
+            rows[t.key] = Ranked(t.name, t.joint, float(t.gain), verdict)
+    for e in names:
+        rows.setdefault((e.name, e.joint), Ranked(e.name, e.joint, float(e.evidence), "named"))
+    return tuple(sorted(rows.values(), key=lambda r: -r.evidence))
+
+
+def _exact_ties(names) -> list[str]:
+    found = {e.name for e in names}
+    return [f"{one} and {other} are the same in a log of voltage and position: {why}."
+            for one, other, why in EXACT_TIES if one in found or other in found]
+
+
+def _parameters(m, s) -> dict:
+    theta = s.final.point.theta
+    return {p.name: (float(p.value), float(value), p.unit, float(p.deviation))
+            for p, value in zip(m.free, theta)}
+
+
+def _drawn(analysis, residuals) -> Drawn:
+    p = analysis.problem
+    s, theta = p.sampled, analysis.selected.final.point.theta
+    signals = p.signals(theta)
+    rows = np.concatenate([stretch.time[1:] for stretch in analysis.predictor.stretches])
+    log = np.concatenate([np.full(len(stretch.time) - 1, n)
+                          for n, stretch in enumerate(analysis.predictor.stretches)])
+    kept, nearest, start, offsets = p.kept, np.empty(len(p.kept), dtype=int), 0.0, []
+    for number, part in enumerate(p.stretches):
+        own = np.flatnonzero(log == number)
+        time = s.time[kept[part]]
+        nearest[part] = own[np.clip(np.searchsorted(rows[own], time), 0, len(own) - 1)]
+        offsets.append(start + time - time[0])
+        start = offsets[-1][-1] + 1.0
+    series = {"position": signals.position, "velocity": signals.velocity,
+              "acceleration": signals.acceleration, "voltage": signals.voltage,
+              "torque": signals.torque, "gravity_torque": signals.gravity_torque,
+              "link_torque": signals.link_torque, "current": signals.current,
+              "motor_angle": np.mod(signals.position * signals.gear, 2.0 * np.pi),
+              "supply_current": np.repeat(np.abs(signals.current).sum(axis=1, keepdims=True),
+                                          s.joints, axis=1)}
+    return Drawn(np.concatenate(offsets), *(residuals[name][nearest] for name in (
+        "nominal", "retuned", "augmented")), {name: a[kept] for name, a in series.items()},
+        p.held.astype(float), _whiteness(analysis))
+
+
+def _whiteness(analysis) -> dict:
+    """Autocorrelation of the final innovations of each joint (1-based)."""
+    errors, rows = analysis.selected.final.errors, analysis.predictor.fit_rows
+    step = analysis.predictor.step
+    block = max(1, int(0.01 / step))
+    out = {}
+    for j in range(errors.shape[1]):
+        e = np.where(rows[:, j], errors[:, j], 0.0)
+        n = len(e) // block
+        if n < 20:
+            continue
+        e = e[:n * block].reshape(n, block).sum(axis=1)
+        most = min(int(_LAGS / (step * block)), n // 3)
+        power = float(e @ e)
+        if not power > 0.0:
+            continue
+        acf = np.array([float(e[k:] @ e[:n - k]) / power for k in range(1, most + 1)])
+        out[j + 1] = (np.arange(1, most + 1) * step * block, acf, 1.96 / np.sqrt(n))
+    return out

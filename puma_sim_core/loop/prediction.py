@@ -1,0 +1,419 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""Prediction errors: the model led along the log, its parameters fitted to the innovations (step 6).
+
+What the screening reads from filtered motion is quick and linear, and not exact: friction about a
+reversal is blurred, and accelerations carry noise that feedback has sent through the voltage. Here
+the model itself, with all its effects, is run along the log as an observer (`tracking`). Of a
+true model the innovations are white and independent of the past, with feedback and without, so that
+fits are unbiased (Ljung, System Identification, chapter 13). They are weighted with a causal
+autoregressive filter, which keeps that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import fft
+from scipy.linalg import cho_factor, cho_solve, expm, solve_discrete_are, solve_toeplitz
+from scipy.signal import lfilter
+
+from ..effects import Effect
+from ..errors import NonFiniteStateError, ParameterError
+from ..plant import Plant
+from ..simulator import Simulator
+from ..restart import driven_current, local_motion, tell_past, true_start
+from ..tracking import Tracked, innovations
+from . import filters
+
+#: time at the start of a log that the observer is given to settle [s]
+SETTLING = 0.12
+#: coefficients of the filter that makes innovations white
+_ORDER = 10
+#: greatest step of integration [s]
+_STEP = 1.2e-3
+#: least noise of the voltage [V] and greatest share of the gain's bandwidth
+_LEAST_VOLTS = 2e-3
+#: step of a finite difference, as a share of the deviation of a parameter of the mechanism and of
+#: the size of a parameter of an effect
+_DIFFERENCE, _EFFECT_DIFFERENCE = 0.05, 0.01
+#: what a parameter of an effect near zero counts as, by its unit
+_TYPICAL = {"rad": 0.02, "s": 1e-3, "V": 0.1, "N.m": 1.0, "1": 0.1, "A": 1.0, "kg": 0.3, "m": 0.1,
+            "rad/s": 0.05, "N.m/rad": 5.0, "N.m.s/rad": 1.0, "1/A": 1e-3, "N.m.s2/rad2": 1.0}
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """One log for the observer: time (n,), voltage, position, enable (n, J) or None, the start
+    row's motion, and which of the n - 1 innovations count for each joint (n - 1, J)."""
+
+    time: np.ndarray
+    voltage: np.ndarray
+    position: np.ndarray
+    enable: np.ndarray | None
+    motion: tuple[np.ndarray, np.ndarray, np.ndarray]
+    first: int
+    fit: np.ndarray
+    held: np.ndarray
+
+
+@dataclass(frozen=True)
+class Weighting:
+    """Filters (J, order + 1) that make innovations white, and what they are scaled by (J,)."""
+
+    filters: np.ndarray
+    scale: np.ndarray
+
+    def __call__(self, values: np.ndarray) -> np.ndarray:
+        """(n, J, ...) innovations or their derivatives, white and of variance 1."""
+        out = np.empty_like(values)
+        for j in range(values.shape[1]):
+            out[:, j] = lfilter(self.filters[j], [1.0], values[:, j], axis=0) / self.scale[j]
+        return out
+
+
+class Predictor:
+    """Logs with a mechanism, ready to be predicted by plants.
+
+    logs : `ingest.Log` each; held : for each log a function of times (n,) -> True where kept
+    back; volts (J,): standard deviation of the voltage noise of one row, and noise (J,) that of a
+    position: they set the gain of the observer.
+    """
+
+    def __init__(self, logs: Sequence, mechanism, held, volts, noise, resting=None):
+        self.mechanism = mechanism
+        self.stretches = [self._stretch(log, kept) for log, kept in zip(logs, held)]
+        step = float(np.median(np.concatenate([np.diff(s.time) for s in self.stretches])))
+        self.step = step
+        #: innovation of each joint after a volt that the model lacks was missing for one row [rad/V]
+        self.responses: list[np.ndarray] = []
+        #: standard deviation of an innovation [rad] when the model is true
+        self.spread: list[float] = []
+        self.gain = self._gain(np.maximum(volts, _LEAST_VOLTS), np.maximum(noise, 1e-9), step)
+
+    def _stretch(self, log, held) -> Stretch:
+        first = int(np.searchsorted(log.time, log.time[0] + 0.03))
+        velocity, acceleration = local_motion(log.time, log.position, first)
+        # between quanta the slope is known better than the position
+        near = slice(max(0, first - 12), first + 13)
+        x = log.time[near] - log.time[first]
+        position = np.polynomial.polynomial.polyfit(x, log.position[near], 2)[0]
+        enable = None if log.enable is None else np.broadcast_to(
+            np.reshape(log.enable, (len(log.time), -1)), log.voltage.shape).astype(float)
+        if enable is not None and enable.all():
+            enable = None
+        time = log.time[first:]
+        counts = time[1:] > log.time[0] + SETTLING + 0.03
+        away = held(time[1:])
+        usable = np.repeat(counts[:, None], log.position.shape[1], axis=1)
+        return Stretch(time, np.ascontiguousarray(log.voltage[first:]),
+                       np.ascontiguousarray(log.position[first:]),
+                       None if enable is None else enable[first:],
+                       (position, velocity, acceleration), first,
+                       usable & ~away[:, None], usable & away[:, None])
+
+    def _gain(self, volts, noise, step) -> np.ndarray:
+        """(J, 3) steady Kalman gain of each joint by itself, its inertia at its mean."""
+        m = self.mechanism
+        position = np.vstack([s.position for s in self.stretches])[::50]
+        drive = m.drive(m.start)
+        inertia = m.inertia(m.start, position).mean(axis=0) + drive.motor_inertia
+        gains = []
+        for j in range(m.joints):
+            k, lag, emf = drive.volts_per_torque[j], drive.lag[j], drive.emf[j]
+            M, H = inertia[j], drive.viscous[j]
+            # in units of torque per volt the current is i' = (V - emf w - i') / lag, torque i' / k
+            if lag > 0.0:
+                A = np.array([[0.0, 1.0, 0.0], [0.0, -H / M, 1.0 / (k * M)],
+                              [0.0, -emf / lag, -1.0 / lag]])
+                B = np.array([[0.0], [0.0], [1.0 / lag]])
+            else:
+                A = np.array([[0.0, 1.0], [0.0, -(H + emf / k) / M]])
+                B = np.array([[0.0], [1.0 / (k * M)]])
+            n = len(A)
+            block = np.zeros((n + 1, n + 1))
+            block[:n, :n], block[:n, n:] = A * step, B * step
+            block = expm(block)
+            F, G = block[:n, :n], block[:n, n:]
+            C = np.zeros((1, n))
+            C[0, 0] = 1.0
+            Q = G @ G.T * volts[j] ** 2 + np.diag([1e-18, 1e-12, 1e-12][:n])
+            P = solve_discrete_are(F.T, C.T, Q, np.array([[noise[j] ** 2]]))
+            gain = (P @ C.T / (P[0, 0] + noise[j] ** 2)).ravel()
+            current = gain[2] / self._resistance(j) if n == 3 else 0.0
+            gains.append([gain[0], gain[1], current])
+            self.responses.append(_response(F, G, C, gain))
+            self.spread.append(float(np.sqrt(P[0, 0] + noise[j] ** 2)))
+        return np.array(gains)
+
+    def _resistance(self, joint: int) -> float:
+        arm = getattr(self.mechanism.plant(self.mechanism.start), "arm", None)
+        motors = getattr(arm, "motors", ())
+        return float(motors[joint].resistance) if len(motors) > joint else 1.0
+
+    def errors(self, plant: Plant) -> np.ndarray:
+        """(N, J) innovations of all logs below each other; raises NonFiniteStateError."""
+        return np.concatenate([part.innovation for part in self.tracked(plant)])
+
+    def tracked(self, plant: Plant) -> list[Tracked]:
+        """What the observer makes of each log; raises NonFiniteStateError."""
+        parts = []
+        for s in self.stretches:
+            simulator = Simulator(plant, max_step=_STEP)
+            position, velocity = true_start(plant, s.motion[0], s.motion[1], s.motion[2])
+            current = driven_current(plant, s.time, s.voltage, 0, velocity, s.motion[2])
+            if s.enable is not None:
+                current = np.where(s.enable[0] != 0.0, current, 0.0)
+            simulator.reset(position, velocity, current, time=float(s.time[0]))
+            parts.append(innovations(simulator, s.time, s.voltage, s.position, self.gain,
+                                     s.enable))
+        return parts
+
+    def in_volts(self, errors: np.ndarray, cutoff: float) -> np.ndarray:
+        """(N, J) voltages [V] that the model lacks by its innovations (N, J), up to `cutoff` [Hz].
+
+        What an observer made of them is undone frequency by frequency.
+        """
+        out, start = np.empty_like(errors), 0
+        for s in self.stretches:
+            n = len(s.time) - 1
+            for j in range(errors.shape[1]):
+                out[start:start + n, j] = self._undone(errors[start:start + n, j], j, cutoff)
+            start += n
+        return out
+
+    def _undone(self, errors, joint, cutoff):
+        taps = self.responses[joint]
+        size = fft.next_fast_len(len(errors) + len(taps) + int(2.0 / (cutoff * self.step)),
+                                 real=True)
+        f = fft.rfftfreq(size, self.step)
+        ratio = filters.response(f, cutoff) / fft.rfft(taps, size)
+        return fft.irfft(fft.rfft(errors, size) * ratio, size)[:len(errors)]
+
+    def floor_in_volts(self, cutoff: float) -> np.ndarray:
+        """(J,) `in_volts` root mean square [V] of a true model with this noise."""
+        f = np.linspace(0.0, 0.5 / self.step, 4097)
+        out = []
+        for taps, spread in zip(self.responses, self.spread):
+            turn = np.exp(-2j * np.pi * np.outer(f, np.arange(len(taps))) * self.step)
+            ratio = np.abs(filters.response(f, cutoff) / (turn @ taps)) ** 2
+            out.append(np.sqrt(2.0 * self.step * ratio.sum() * f[1]) * spread)
+        return np.array(out)
+
+    @property
+    def fit_rows(self) -> np.ndarray:
+        """(N, J) whether an innovation may be used to fit."""
+        return np.concatenate([s.fit for s in self.stretches])
+
+    @property
+    def held_rows(self) -> np.ndarray:
+        """(N, J) whether an innovation is kept back."""
+        return np.concatenate([s.held for s in self.stretches])
+
+    def white_weighting(self, errors: np.ndarray) -> Weighting:
+        """No filter, and a scale from row to row: what lasts, such as an effect that is missing,
+        does not count as noise."""
+        J, rows = errors.shape[1], self.fit_rows
+        filters, scale = np.zeros((J, _ORDER + 1)), np.ones(J)
+        filters[:, 0] = 1.0
+        for j in range(J):
+            both = rows[1:, j] & rows[:-1, j]
+            change = np.diff(errors[:, j])[both]
+            scale[j] = 1.4826 * np.median(np.abs(change)) / np.sqrt(2.0) if len(change) else 1.0
+            scale[j] = max(scale[j], 0.3 * float(np.std(change)) / np.sqrt(2.0), 1e-15)
+        return Weighting(filters, scale)
+
+    def weighting(self, errors: np.ndarray) -> Weighting:
+        """The filter of each joint that makes these innovations white, by Yule and Walker."""
+        J, rows = errors.shape[1], self.fit_rows
+        filters, scale = np.zeros((J, _ORDER + 1)), np.ones(J)
+        for j in range(J):
+            e = np.where(rows[:, j], errors[:, j], 0.0)
+            n = max(int(rows[:, j].sum()), 1)
+            c = np.array([e[:len(e) - k] @ e[k:] for k in range(_ORDER + 1)]) / n
+            c[0] *= 1.0 + 1e-9
+            a = solve_toeplitz(c[:-1], c[1:]) if c[0] > 0.0 else np.zeros(_ORDER)
+            filters[j] = [1.0, *-a]
+            scale[j] = np.sqrt(max(c[0] - a @ c[1:], 1e-30))
+        return Weighting(filters, scale)
+
+
+@dataclass(frozen=True)
+class Point:
+    """A model: parameters theta (p,) and effects."""
+
+    theta: np.ndarray
+    effects: tuple[Effect, ...]
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A model fitted to innovations: white errors (N, J), the objective (half the sum of squares
+    of the rows to fit and of the prior), and the normal matrix about the last step."""
+
+    point: Point
+    errors: np.ndarray
+    objective: float
+    names: tuple[tuple[int, str], ...]
+    jacobian: np.ndarray | None = None
+
+
+class PredictionFit:
+    """Least squares of innovations over parameters and effects, by Gauss and Newton."""
+
+    def __init__(self, predictor: Predictor, weighting: Weighting):
+        self.predictor = predictor
+        self.weighting = weighting
+        self.rows = predictor.fit_rows
+        self.mechanism = predictor.mechanism
+
+    def errors(self, point: Point) -> np.ndarray | None:
+        """(N, J) white innovations, None where the model cannot be run."""
+        try:
+            plant = self.mechanism.plant(point.theta, point.effects)
+            return self.weighting(self.predictor.errors(plant))
+        except (NonFiniteStateError, ParameterError):
+            return None
+
+    def objective(self, errors: np.ndarray, theta: np.ndarray) -> float:
+        """Half the sum of squares, of the rows to fit and of the parameters' prior."""
+        m = self.mechanism
+        step = (theta - m.start) / m.deviations
+        return 0.5 * float((errors[self.rows] ** 2).sum() + step @ step)
+
+    def of_theta(self, point: Point, errors: np.ndarray) -> np.ndarray:
+        """(N', p) derivatives of the white errors to fit by parameters, per deviation."""
+        m = self.mechanism
+        columns = []
+        for k, width in enumerate(m.deviations):
+            theta = point.theta.copy()
+            theta[k] += _DIFFERENCE * width
+            moved = self.errors(Point(theta, point.effects))
+            columns.append(np.zeros(int(self.rows.sum())) if moved is None else
+                           (moved[self.rows] - errors[self.rows]) / _DIFFERENCE)
+        return np.column_stack(columns) if columns else np.zeros((int(self.rows.sum()), 0))
+
+    def of_effects(self, point: Point, errors: np.ndarray, free) -> tuple[np.ndarray, list]:
+        """(N', c) derivatives by the free parameters of effects, and the steps they were per."""
+        columns, sizes = [], []
+        for number, name in free:
+            effect = point.effects[number]
+            size = max(abs(effect.values[name]), 0.3 * typical(effect, name))
+            moved = None
+            for sign in (1.0, -1.0):
+                value = effect.values[name] + sign * _EFFECT_DIFFERENCE * size
+                moved = self._moved(point, number, name, value)
+                if moved is not None:
+                    break
+            columns.append(np.zeros(int(self.rows.sum())) if moved is None else
+                           (moved[self.rows] - errors[self.rows]) / (sign * _EFFECT_DIFFERENCE))
+            sizes.append(size)
+        return (np.column_stack(columns) if columns
+                else np.zeros((int(self.rows.sum()), 0))), sizes
+
+    def _moved(self, point, number, name, value):
+        effects = _with_value(point.effects, number, name, value)
+        return None if effects is None else self.errors(Point(point.theta, effects))
+
+    def run(self, point: Point, free, *, known=None, known_free=(), rounds: int = 4
+            ) -> Fitted | None:
+        """Fit from a start.
+
+        free : (number of the effect, its parameter) pairs. known : (N', p + c) derivatives by the
+        mechanism's parameters and by `known_free`, pairs of effects that stand first, to go on
+        with; None: all derivatives are taken in each round.
+
+        Returns
+        -------
+        The fitted model, None where the start cannot be run.
+        """
+        m = self.mechanism
+        errors = self.errors(point)
+        if errors is None:
+            return None
+        best = self.objective(errors, point.theta)
+        pairs = (*known_free, *free)
+        full = None
+        for _ in range(rounds):
+            if known is None:
+                T, (E, _) = self.of_theta(point, errors), self.of_effects(point, errors, pairs)
+                full = np.hstack([T, E])
+            else:
+                full = np.hstack([known, self.of_effects(point, errors, free)[0]])
+            sizes = self.sizes(point, pairs)
+            p = len(m.deviations)
+            position = (point.theta - m.start) / m.deviations
+            c = len(pairs)
+            normal = full.T @ full + np.diag([1.0] * p + [1e-4] * c)
+            gradient = full.T @ errors[self.rows] + np.concatenate([position, np.zeros(c)])
+            step = -cho_solve(cho_factor(normal, lower=True), gradient)
+            gained = 0.0
+            for share in (1.0, 0.4, 0.12):
+                moved = self._step(point, share * step, pairs, sizes)
+                trial = None if moved is None else self.errors(moved)
+                if trial is None:
+                    continue
+                objective = self.objective(trial, moved.theta)
+                if objective < best:
+                    gained = best - objective
+                    point, errors, best = moved, trial, objective
+                    break
+            if gained < 0.1:
+                break
+        return Fitted(point, errors, best, pairs, full)
+
+    def sizes(self, point: Point, pairs) -> list[float]:
+        """What the columns of effects are derivatives per: the size of each parameter."""
+        return [max(abs(point.effects[number].values[name]),
+                    0.3 * typical(point.effects[number], name)) for number, name in pairs]
+
+    def _step(self, point, step, pairs, sizes) -> Point | None:
+        m = self.mechanism
+        p = len(point.theta)
+        theta = m.clip(point.theta + step[:p] * m.deviations)
+        effects = point.effects
+        for (number, name), change, size in zip(pairs, step[p:], sizes):
+            value = effects[number].values[name] + float(np.clip(change, -1.5, 1.5)) * size
+            effects = _with_value(effects, number, name, value, clip=True)
+            if effects is None:
+                return None
+        return Point(theta, effects)
+
+    def held_sum(self, errors: np.ndarray) -> float:
+        """Half the sum of squares of the white errors that are kept back."""
+        return 0.5 * float((errors[self.predictor.held_rows] ** 2).sum())
+
+
+def _response(F, G, C, gain) -> np.ndarray:
+    """Innovations (k,) of an observer after one row of a voltage that it does not know of."""
+    kept = F @ (np.eye(len(F)) - gain[:, None] @ C)
+    x, out = -G[:, 0], []
+    greatest = 0.0
+    while len(out) < 4000:
+        out.append(float(C[0] @ x))
+        greatest = max(greatest, abs(out[-1]))
+        if len(out) > 5 and abs(out[-1]) < 1e-4 * greatest and abs(x).max() < 1e2:
+            break
+        x = kept @ x
+    return np.array(out)
+
+
+def typical(effect: Effect, name: str) -> float:
+    """What counts as a small size of a parameter of an effect."""
+    unit = next(p.unit for p in effect.kind.parameters if p.name == name)
+    return _TYPICAL.get(unit, 0.1)
+
+
+def _with_value(effects, number, name, value, clip: bool = False):
+    """The effects with one value replaced; None where it is out of bounds."""
+    effect = effects[number]
+    spec = next(p for p in effect.kind.parameters if p.name == name)
+    if clip:
+        value = min(max(value, spec.low), spec.high)
+    try:
+        changed = Effect(effect.kind, effect.joint, {**effect.values, name: float(value)})
+    except ParameterError:
+        return None
+    return (*effects[:number], changed, *effects[number + 1:])

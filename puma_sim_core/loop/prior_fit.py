@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""How far a log is from the nominal plant, in the widths of the priors.
+
+All parameters of the mechanism, linearised, and the effects that add slow volts, each with the
+width that machines have, share out the voltage; what it costs is half the sum of the squares of
+their deviations and of what is left over. A position with a wrong scale or offset is far away as it
+stands and near once it is put right.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .plausibility import Coarse, Plausibility
+
+#: what is left over counts in this share of the volts of a middling friction, with this share of
+#: the joint's own, and each so long [s] as one independent value
+_NOISE, _SHARE, _CORRELATED = 0.08, 0.01, 0.4
+#: widths: offset, dry friction and spring in volts of a middling friction, load friction, drag as a
+#: share of the speed's volts, load [kg] at a lever [m], tilt [rad]
+_OFFSET, _DRY, _SPRING, _LOADED, _DRAG, _LOAD, _LEVER, _TILT = (
+    1.5, 2.0, 1.5, 0.15, 0.08, 3.0, 0.4, 0.07)
+#: widths of the step of dry friction, as shares of the greatest speed
+_DRY_WIDTHS = (0.015, 0.08)
+
+
+class PriorFit:
+    """Costs of coarse series under a mechanism's priors."""
+
+    def __init__(self, model: Plausibility):
+        self.model = model
+        self.mechanism = model.mechanism
+
+    def costs(self, c: Coarse, counted: list[np.ndarray], joints=None) -> tuple[float, float]:
+        """(all, that of what is left over): cost of the best parameters and effects.
+
+        counted : rows of each joint that count, (n,) each; joints : only these have a voltage.
+        """
+        m, theta, model = self.mechanism, self.model.theta, self.model
+        joints = range(c.joints) if joints is None else joints
+        q, qd, qdd = c.position, c.velocity, c.acceleration
+        expected = m.model_voltage(theta, q, qd, qdd)
+        slopes = m.voltage_jacobian(theta, q, qd, qdd) * m.deviations
+        shared = [slopes]
+        load = m.payload_torque(theta, _LEVER, q, qd, qdd)
+        if load is not None:
+            shared.append((_LOAD * model.k * load)[:, :, None])
+        tilt = m.gravity_tilt(theta, q)
+        if tilt is not None:
+            shared.append(_TILT * model.k[:, None] * tilt)
+        shared = np.concatenate(shared, axis=2)
+        weight = m.gravity(theta, q) * model.k
+        table, wanted = [], []
+        for j in joints:
+            rows = counted[j]
+            if rows.sum() < 2:
+                continue
+            v, unit = qd[rows, j], model.unit[j]
+            fastest = float(np.abs(v).max()) or 1.0
+            steps = [np.tanh(v / (width * fastest)) for width in _DRY_WIDTHS]
+            part = q[rows, j]
+            own = np.column_stack([
+                np.full(len(v), _OFFSET * unit), *(_DRY * unit * step for step in steps),
+                _SPRING * unit * (part - part.mean()) / max(float(np.ptp(part)), 1e-9),
+                _LOADED * np.abs(weight[rows, j]) * steps[0],
+                _DRAG * model.speed[j] * v * np.abs(v) / fastest])
+            block = np.zeros((len(v), c.joints * own.shape[1]))
+            block[:, j * own.shape[1]:(j + 1) * own.shape[1]] = own
+            # rows closer than the correlation time share one value's weight
+            scale = np.sqrt(min(1.0, c.step / _CORRELATED)) / float(np.hypot(
+                _NOISE * unit, _SHARE * np.std(c.voltage[rows, j])))
+            table.append(scale * np.hstack([shared[rows, j], block]))
+            wanted.append(scale * (c.voltage[rows, j] - expected[rows, j]))
+        if not table:
+            return 0.0, 0.0
+        table, wanted = np.concatenate(table), np.concatenate(wanted)
+        normal = table.T @ table + np.eye(table.shape[1])
+        x = np.linalg.solve(normal, table.T @ wanted)
+        left = float(np.sum((wanted - table @ x) ** 2))
+        return 0.5 * (left + float(x @ x)), 0.5 * left

@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""What `explain` gives: the verdict, the effects with their evidence, the errors, the rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+NOTHING_MISSING = "NOTHING_MISSING"
+NAMED = "NAMED"
+NAMED_WITH_REMAINDER = "NAMED_WITH_REMAINDER"
+UNNAMED = "UNNAMED"
+DATA_FAULT = "DATA_FAULT"
+VERDICTS = (NOTHING_MISSING, NAMED, NAMED_WITH_REMAINDER, UNNAMED, DATA_FAULT)
+
+NOT_EXCITED = "NOT_EXCITED"
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault of the data: channel ("time", "voltage2", "position1" ...), first row (1-based line
+    of data, None for the whole channel), and what is wrong with what was expected."""
+
+    channel: str
+    row: int | None
+    what: str
+
+
+@dataclass(frozen=True)
+class Interval:
+    """An estimate with its 95 % confidence interval (low, high) and unit."""
+
+    value: float
+    low: float
+    high: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """An effect on a joint (1-based; None for the whole arm)."""
+
+    name: str
+    joint: int | None
+
+
+@dataclass(frozen=True)
+class RuledOut:
+    """A hypothesis that the log speaks against, and why."""
+
+    name: str
+    joint: int | None
+    because: str
+
+
+@dataclass(frozen=True)
+class NamedEffect:
+    """An effect that the model lacked.
+
+    evidence : gain of the log marginal likelihood [nat]; tied_with : what this log cannot tell
+    from it; ruled_out : look-alikes that it can.
+    """
+
+    name: str
+    joint: int | None
+    parameters: dict[str, Interval]
+    evidence: float
+    tied_with: tuple[Hypothesis, ...] = ()
+    ruled_out: tuple[RuledOut, ...] = ()
+
+
+@dataclass(frozen=True)
+class StageErrors:
+    """Errors (J,) of one quantity before and after: root mean squares joint by joint."""
+
+    nominal: np.ndarray
+    retuned: np.ndarray
+    augmented: np.ndarray
+    floor: np.ndarray
+
+
+@dataclass(frozen=True)
+class Errors:
+    """voltage_rms [V] of the residual V - Vhat; position_rms [rad or m] of open-loop windows."""
+
+    voltage_rms: StageErrors
+    position_rms: StageErrors
+
+
+@dataclass(frozen=True)
+class Shape:
+    """The shape of what cannot be named.
+
+    axis : "position", "velocity", "time", "voltage", "torque", "acceleration", "position of joint
+    2", "motor_angle", ...; joint (1-based); centre, curve (k,): the residual [V] over the axis,
+    low, high (k,): its 95 % band; line_hz: frequency of a spectral line [Hz], None without;
+    ranking: (axis, gain of log evidence) from the best on.
+    """
+
+    axis: str
+    axis_unit: str
+    joint: int
+    centre: np.ndarray
+    curve: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    line_hz: float | None = None
+    ranking: tuple[tuple[str, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class Detectable:
+    """Smallest size of an effect that the log could have shown, in `unit` of `parameter`;
+    excited : False where that is larger than any plausible size."""
+
+    name: str
+    joint: int | None
+    parameter: str
+    size: float
+    unit: str
+    excited: bool
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """A row of the ranking: gain of log evidence when added alone to the retuned model, and the
+    reason why it is named, tied, or not ("named", "tied", or a sentence)."""
+
+    name: str
+    joint: int | None
+    evidence: float
+    verdict: str
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """Series for the figures of a report, decimated: time (m,) [s]; residuals (m, J) [V] of the
+    nominal, retuned and augmented model; signals {name: (m, J)} to draw them against; held_out
+    (m,): 1 where the row was not used to fit; whiteness {joint: (lags s, autocorrelation,
+    bound)}."""
+
+    time: np.ndarray
+    nominal: np.ndarray
+    retuned: np.ndarray
+    augmented: np.ndarray
+    signals: dict[str, np.ndarray]
+    held_out: np.ndarray
+    whiteness: dict[int, tuple[np.ndarray, np.ndarray, float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class FeedbackBias:
+    """Test for feedback in the recording (Durbin, Wu, Hausman): p_value small where delay and
+    elasticity are biased by it; joint by joint."""
+
+    statistic: np.ndarray
+    p_value: np.ndarray
+    biased: bool
+    instruments: str
+    sentence: str
+
+
+@dataclass(frozen=True)
+class NextExperiment:
+    """The excitation that would tell what this log leaves open; `command` writes it."""
+
+    sentence: str
+    separate: tuple[Hypothesis, ...]
+    command: str
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """All that is found in a log. `model` is the augmented plant, None for a DATA_FAULT."""
+
+    verdict: str
+    sentence: str
+    effects: tuple[NamedEffect, ...] = ()
+    errors: dict[str, Errors] = field(default_factory=dict)  # "fit", "held_out"
+    shape: Shape | None = None
+    faults: tuple[Fault, ...] = ()
+    detectability: tuple[Detectable, ...] = ()
+    next_experiment: NextExperiment | None = None
+    feedback_bias: FeedbackBias | None = None
+    ranking: tuple[Ranked, ...] = ()
+    notes: tuple[str, ...] = ()
+    drawn: Drawn | None = None
+    model: object | None = None
+    mechanism: str = "puma560"
+    position_unit: str = "rad"  # "m" for an axis that slides
+    voltage_unit: str = "V"  # of the drive's input and so of all residuals
+    logs: tuple[str, ...] = ()
+    held_out_logs: tuple[str, ...] = ()
+    #: name -> start, retuned, unit and, where known, the width (standard deviation) of the prior
+    parameters: dict[str, tuple] = field(default_factory=dict)
+    seconds: float = 0.0
+    version: str = ""
+    seed: int = 0

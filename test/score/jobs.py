@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""One record of a batch: made, explained without its answer, then set beside what was possible."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+import resource
+import time
+import traceback
+
+from blind import generate
+from puma_sim_core.errors import PumaSimError
+from puma_sim_core.loop import explain
+from puma_sim_core.loop.report_json import report_mapping
+
+from .baselines import baselines
+from .reference import Bench
+from .scoring import LEAST_SIZE, kind_of
+
+#: of a report, what a score does not need
+_LEFT_OUT = ("detectability", "next_experiment", "parameters", "notes", "logs", "held_out_logs")
+
+
+def work(recipe, folder, small: bool = True) -> dict:
+    """The outcome of one recipe.
+
+    small : explain records whose effect is too small to be told from retuning as well.
+
+    Returns
+    -------
+    record, answer; report (without its long tables) or error (text); seconds of `explain`,
+    megabytes at most so far; true_structure (J,) and baselines with held-out position errors [rad].
+    """
+    path, answer = generate.make(recipe, folder)
+    answer.pop("seconds_to_make")
+    outcome = {"record": path.stem, "answer": answer, "report": None, "error": None,
+               "crash": None, "skipped": False, "seconds": None}
+    try:
+        if not small and min((e["size"] for e in answer["effects"]), default=1.0) < LEAST_SIZE:
+            return {**outcome, "skipped": True}
+        started = time.perf_counter()
+        try:
+            outcome["report"] = _short(report_mapping(explain(str(path))))
+        except PumaSimError as error:
+            outcome["error"] = str(error)
+        except Exception:  # anything else is a defect, and is shown as one
+            outcome["error"] = outcome["crash"] = traceback.format_exc()
+        outcome["seconds"] = round(time.perf_counter() - started, 2)
+        outcome["megabytes"] = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+        if kind_of(answer) != "fault":
+            bench = Bench(path)
+            outcome["baselines"] = baselines(bench)
+            if answer["effects"]:
+                outcome["true_structure"] = bench.true_structure(answer)
+    finally:
+        path.unlink()
+    return outcome
+
+
+def _short(report: dict) -> dict:
+    return {key: value for key, value in report.items() if key not in _LEFT_OUT}
+
+
+def fingerprint() -> str:
+    """Digest of all code that an outcome depends on: outcomes of other code are not reused."""
+    import blind
+    import puma_sim_core
+    digest = hashlib.sha256()
+    for module in (puma_sim_core, blind):
+        root = Path(module.__file__).parent
+        for path in sorted(root.rglob("*.py")):
+            digest.update(str(path.relative_to(root)).encode() + path.read_bytes())
+    here = Path(__file__).parent
+    for name in ("jobs.py", "reference.py", "baselines.py"):
+        digest.update((here / name).read_bytes())
+    return digest.hexdigest()[:16]

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""What an analysis could have reached: the true structure fitted to the same record.
+
+The machinery is the loop's own, without the choice: the effects that the answer names, from their
+true values on, with the parameters of the arm, by prediction errors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from puma_sim_core.effects import KINDS, Effect
+from puma_sim_core.effects.friction import VISCOUS
+from puma_sim_core.errors import PumaSimError
+from puma_sim_core.loop.explain import _held, _row_noise
+from puma_sim_core.loop.ingest import read_log
+from puma_sim_core.loop.prediction import Point, PredictionFit, Predictor
+from puma_sim_core.loop.problem import Problem
+from puma_sim_core.loop.sampling import sample
+from puma_sim_core.loop.search import Search
+from puma_sim_core.loop.selection import Selection
+from puma_sim_core.loop.validate import Validation
+from puma_sim_core.mechanisms import load_mechanism
+from puma_sim_core.plant import Plant
+
+_ROUNDS = 4
+
+
+class Bench:
+    """One record with everything to fit models to it and to measure them on what is kept back."""
+
+    def __init__(self, path):
+        self.mechanism = m = load_mechanism()
+        log = read_log(str(path), None, m.joints)
+        self.problem = Problem(sample([log]), m)
+        self.library = {name: kind for name, kind in KINDS.items()
+                        if kind.screening is not None and m.possible(name)}
+        self.search = Search(self.problem, self.library)
+        self.retuned = self.search.retune(m.start)
+        self.validation = Validation(self.problem, [log], 0)
+        self.log = log
+
+    def true_structure(self, answer: dict) -> list[float] | None:
+        """(J,) position errors [rad] of the true structure; None where it cannot be run."""
+        m, p = self.mechanism, self.problem
+        try:
+            true = m.of_plant(_true_arm(m, answer["parameters"]))
+            effects = _true_effects(m, true.start, answer["effects"])
+            predictor = Predictor([self.log], m, [_held(p, 0)],
+                                  _row_noise(self.search, self.retuned),
+                                  p.sampled.position_noise)
+            selection = Selection(self.search, predictor, self.library, 0,
+                                  lambda what, share: None)
+            point = Point(m.clip(true.start), effects)
+            raw = predictor.errors(m.plant(point.theta, effects))
+            weighting = predictor.white_weighting(raw)
+            for _ in range(2):
+                fitted = PredictionFit(predictor, weighting).run(
+                    point, selection.free(point, ()), rounds=_ROUNDS)
+                point = fitted.point
+                weighting = predictor.weighting(
+                    predictor.errors(m.plant(point.theta, point.effects)))
+            return self.position_rms(point.theta, point.effects)
+        except PumaSimError:
+            return None
+
+    def position_rms(self, theta, effects) -> list[float] | None:
+        """(J,) open-loop position errors [rad] on what is kept back; None where a model cannot be
+        run."""
+        try:
+            plant = self.mechanism.plant(theta, effects)
+            with np.errstate(all="ignore"):
+                errors = self.validation.position_rms(plant, "held_out")
+        except PumaSimError:
+            return None
+        return errors.tolist() if np.isfinite(errors).all() else None
+
+
+def _true_arm(mechanism, p: dict) -> Plant:
+    """The rigid arm of an answer."""
+    def column(j, *names):
+        return tuple(float(p[name][j]) for name in names)
+
+    arm = mechanism.arm
+    links = tuple(replace(link, mass=float(p["m"][j]), centre=column(j, "x", "y", "z"),
+                          gyration_squared=column(j, "kxx", "kyy", "kzz"))
+                  for j, link in enumerate(arm.links))
+    motors = tuple(replace(motor, resistance=R, inductance=L, back_emf=ke, torque_constant=kt,
+                           inertia=Ia)
+                   for j, motor in enumerate(arm.motors)
+                   for R, L, ke, kt, Ia in [column(j, "R", "L", "ke", "kt", "Ia")])
+    viscous = tuple(Effect(VISCOUS, j + 1, {"coefficient": float(p["H"][j])}) for j in range(3))
+    return Plant(replace(arm, links=links, motors=motors), viscous)
+
+
+def _true_effects(mechanism, theta, effects: list[dict]) -> tuple[Effect, ...]:
+    made = []
+    for effect in effects:
+        kind = KINDS[effect["name"]]
+        known = {p.name for p in kind.parameters}
+        made.append(Effect(kind, effect["joint"], {name: float(value) for name, value
+                                                   in effect["parameters"].items()
+                                                   if name in known}))
+    plant = mechanism.plant(theta, made)
+    return tuple(plant.effects[len(plant.effects) - len(made):]) if made else ()
