@@ -16,6 +16,10 @@ NUMPY ?=
 TEST_TIMEOUT ?= 180
 PYTEST_ARGS ?=
 LOOP_ARGS ?=
+# records of make score, the seed of the first one (900000 and above), further options
+SCORE_COUNT ?= 340
+SCORE_SEED ?= 900000
+SCORE_ARGS ?=
 
 # A sourced ROS installation and the wheels of rclpy in $(VENV) must not mix: neither its modules
 # and libraries, nor a middleware that the wheels do not have. ROS_DOMAIN_ID stays the user's.
@@ -34,12 +38,13 @@ INSTALLED := $(VENV)/.installed$(if $(NUMPY),-numpy-$(NUMPY))
 CANDIDATES := python3.12 python3.11 python3 python3.13 python3.10
 SUITABLE := import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 10))
 
-.PHONY: help run loop test bench colcon js-readers clean distclean same-python
+.PHONY: help run loop test score bench colcon js-readers clean distclean same-python
 
 help:
 	@echo "make run         move the simulated arm down a vertical line over ROS 2, record, replay"
 	@echo "make loop        record a session with a hidden effect, and find and name it from the bag"
 	@echo "make test        run the tests"
+	@echo "make score       explain fresh blind records, print how often that is right (some hours)"
 	@echo "make bench       speed beside other simulators (in its own environment, $(BENCH_VENV))"
 	@echo "make colcon      build with colcon, run the installed node with an external controller"
 	@echo "make js-readers  install the JavaScript bag readers that make test then uses (needs npm)"
@@ -47,6 +52,7 @@ help:
 	@echo
 	@echo "PYTHON=python3.11  the interpreter to use    NUMPY=1.26  hold NumPy to that release"
 	@echo "VENV=.venv311      another environment       PYTEST_ARGS='-k bag'  passed on to pytest"
+	@echo "SCORE_COUNT=40 SCORE_SEED=900000  records of make score, and the seed of the first"
 	@echo "LOOP_ARGS='--effect payload:mass=2,z=0.1'    another effect for make loop to hide"
 
 # $(1): the folder of the environment
@@ -116,6 +122,11 @@ test: $(INSTALLED)
 	    export PUMA_SIM_NODE_MODULES="$${PUMA_SIM_NODE_MODULES:-$(CURDIR)/build/js/node_modules}"; \
 	fi; \
 	$(BIN)/python -m pytest -q --timeout=$(TEST_TIMEOUT) $(PYTEST_ARGS)
+
+# Outcomes are kept in build/score: a batch that was interrupted goes on where it stopped.
+score: $(INSTALLED)
+	@$(BIN)/python test/score/run.py --count $(SCORE_COUNT) --seed $(SCORE_SEED) --out build/score \
+	    $(SCORE_ARGS)
 
 # Each peer on its own, and none may move the NumPy or numba that our own rows run on.
 PEERS := mujoco pin roboticstoolbox-python casadi

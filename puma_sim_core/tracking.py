@@ -15,13 +15,19 @@ from typing import NamedTuple
 import numpy as np
 
 from .backend import BACKEND, compiled, merged
-from .effects import DRY
+from .effects import CURRENT_LIMIT, DRY, WIDTH, slot
+from .effects.amplifier import CURRENT_LIMITER
 from .errors import NonFiniteStateError, ParameterError
 from .open_circuit import enabled
 from .run_inputs import native, rows_of, step_counts
 from .runs import DELAYED, SENSED, TWO_MASS, advance, is_finite, terminal_voltage
 from .simulator import Simulator
 from .two_mass_runs import train_advance
+
+
+_LIMIT = slot(CURRENT_LIMITER)
+#: share of its limit from which a current counts as held by it
+_HELD = 0.999999
 
 
 @merged
@@ -60,6 +66,11 @@ def tracked_rows(advance, x, z, m, volts, on, times, counts, steps, target, gain
         d1 = 0.0 if active & DRY and x[3] == 0.0 else gain[1] * e1
         d2 = 0.0 if active & DRY and x[4] == 0.0 else gain[4] * e2
         d3 = 0.0 if active & DRY and x[5] == 0.0 else gain[7] * e3
+        # and a current that is held at its limit stays there: moved, it could only fall
+        if active & CURRENT_LIMIT:
+            a = 0.0 if abs(x[6]) >= _HELD * p[_LIMIT] else a
+            b = 0.0 if abs(x[7]) >= _HELD * p[WIDTH + _LIMIT] else b
+            c = 0.0 if abs(x[8]) >= _HELD * p[2 * WIDTH + _LIMIT] else c
         x = (x[0] + gain[0] * e1, x[1] + gain[3] * e2, x[2] + gain[6] * e3,
              x[3] + d1, x[4] + d2, x[5] + d3,
              x[6] + a * gain[2] * e1, x[7] + b * gain[5] * e2, x[8] + c * gain[8] * e3)

@@ -34,7 +34,7 @@ from .two_programs import ProgramError, environment, run_session
 #: what is hidden where nothing else is asked for: levels like those that Corke measured on joint 2
 EFFECT = "asymmetric_coulomb_friction:joint=2,positive=12.6,negative=7.1"
 #: between two commands, and so between two rows of the log [s]; steps of integration in each
-PERIOD, SUBSTEPS = 0.004, 4
+PERIOD, SUBSTEPS = 0.01, 10
 #: greatest share by which a parameter is off; viscous friction, and all others
 _OFF_VISCOUS, _OFF = 0.20, 0.05
 #: longest time for the motion, and for the explanation [s]

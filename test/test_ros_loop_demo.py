@@ -60,9 +60,9 @@ def test_the_hidden_effect_is_named(demonstrated):
 def test_explain_reads_rows_of_the_bag_and_nothing_of_its_model(demonstrated, monkeypatch):
     out, _ = demonstrated
     log = read_log(out / "bag")
-    assert np.allclose(np.diff(log.time), 0.004, rtol=0.0, atol=1e-12)
+    assert np.allclose(np.diff(log.time), 0.01, rtol=0.0, atol=1e-12)
     assert log.position[0] == pytest.approx(MIDDLE, abs=0.0)
-    setpoints, volts = expected_volts("bejczy", 20.0, 0.004, 4)
+    setpoints, volts = expected_volts("bejczy", 20.0, 0.01, 4)
     assert len(log) == len(volts) + 1
     # the commands: expected volts, and 150, 260, 135 V/rad times what is off
     held = volts + np.array([150.0, 260.0, 135.0]) * (setpoints - log.position[:-1])
@@ -70,7 +70,7 @@ def test_explain_reads_rows_of_the_bag_and_nothing_of_its_model(demonstrated, mo
     # with another model in the bag the log is the same to the bit
     read = bag_log.read_bag
     hidden = json.dumps(load_model(out / "hidden" / "model.yaml").to_mapping())
-    other = {"plant": {}, "voltage_limit": 40.0, "command_timeout": 0.5, "period": 0.004}
+    other = {"plant": {}, "voltage_limit": 40.0, "command_timeout": 0.5, "period": 0.01}
     assert "asymmetric" in hidden and "asymmetric" in read(out / "bag").config_text
     monkeypatch.setattr(bag_log, "read_bag",
                         lambda path: replace(read(path), config_text=json.dumps(other)))
@@ -91,7 +91,7 @@ def test_the_node_runs_the_model_that_explain_wrote(demonstrated):
 
 @pytest.mark.parametrize("seed", (1, 4))
 def test_the_motion_excites_all_joints_within_their_ranges(seed):
-    period, mechanism = 0.004, load_mechanism()
+    period, mechanism = 0.01, load_mechanism()
     q = motion(20.0, period, seed)
     velocity = np.gradient(q, period, axis=0)
     fastest = 40.0 / mechanism.drive(mechanism.start).emf  # 40 V

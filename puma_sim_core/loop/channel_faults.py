@@ -26,11 +26,13 @@ _ASKED, _ANOTHER = 0.15, 0.45
 _ANOTHER_FLOOR = 4.0
 #: what is left over must shrink to this share of what it was, and to this share of the voltage
 _SHRINKS, _LEFT = 0.4, 0.2
-#: a joint that is put right moves in this share of the rows, at least, of that which moves most; what is left over of a joint's voltage
-#: itself, without a floor
+#: a joint that is put right moves in this share of the rows, at least, of that which moves most;
+#: what is left over of a joint's voltage itself, without a floor
 _STILL_MOVES, _LEFT_AT_ALL = 0.5, 0.4
 #: ways within this difference of the sum of logarithms are alike: the simpler one is said
 _ALIKE = 0.4
+#: shares below this are alike where voltages are scaled
+_ALIKE_SHARE = 0.04
 #: costs (see `prior_fit`): from which on a log is asked for scales near 1 and offsets; what a way
 #: must gain, the share of the cost that may stay, and the cost itself
 _FAR, _GAIN, _NEARER, _NEAR = 15.0, 15.0, 0.5, 150.0
@@ -40,7 +42,9 @@ _SURER = 1.5
 _ROWS = 300
 #: scales that are beyond what parameters and effects can make, and offsets [rad] that are no
 #: encoder offsets
-_SCALES = (0.2, 0.25, 0.33, 0.4, 0.5, 0.57, 0.65, 0.72, 1.35, 1.5, 1.7, 2.0, 2.4, 3.0, 4.0, 5.0)
+_SCALES = (0.33, 0.4, 0.5, 0.57, 0.65, 0.7, 1.4, 1.5, 1.7, 2.0, 2.4, 3.0)
+#: and those that only a voltage of which this share is left over is asked for
+_FAR_SCALES, _FAR_ASKED = (0.2, 0.25, 4.0, 5.0), 0.3
 _OFFSETS = tuple(sign * size for size in (0.15, 0.2, 0.3, 0.4, 0.55, 0.8, 1.1, np.pi / 2.0, np.pi)
                  for sign in (1.0, -1.0))
 #: factors of units: what the numbers are in, and by what they must be multiplied
@@ -108,17 +112,22 @@ def _best(model: Plausibility, c: Coarse) -> Way | None:
     if before.max() < _ASKED:
         return None
     worst = int(before.argmax())
+    enough = min(_SHRINKS * before[worst], max(_LEFT, 0.1 * before[worst]))
     tried = []
     for way in _ways(model, c):
-        changed = model.fits(c.changed(**way.change))
+        other = c.changed(**way.change)
+        if model.share(model.fit(other, worst), worst) >= enough:
+            continue
+        changed = model.fits(other)
         after = model.shares(changed)
         # what hardly moves any more, or hardly has a voltage, is not explained by that
         moved = [j for j, fit in enumerate(changed) if fit.rows and after[j] < _SHRINKS * before[j]
                  and fit.left <= _LEFT_AT_ALL * fit.scale]
         still = sum(changed[j].rows for j in moved) >= _STILL_MOVES * max(
             fit.rows for fit in fits)
-        enough = min(_SHRINKS * before[worst], max(_LEFT, 0.1 * before[worst]))
-        if still and after[worst] < enough:
+        if np.any(np.abs(way.change.get("volts", 1.0)) != 1.0):
+            after = np.maximum(after, _ALIKE_SHARE)     # greater volts shrink their floor
+        if still:
             tried.append((float(np.log(after / before).sum()), way))
     best = min((score for score, _ in tried), default=0.0)
     if best > np.log(_SHRINKS):
@@ -186,11 +195,12 @@ def _moderate(model: Plausibility, c: Coarse) -> Fault | None:
     if before < _FAR:
         return None
     unit, tried = model.mechanism.position_unit, []
+    left = model.shares(model.fits(c), _ANOTHER_FLOOR)
     for j in range(c.joints):
         one = np.arange(c.joints) == j
         if not counted[j].any():
             continue
-        for size in _SCALES:
+        for size in (*_SCALES, *(_FAR_SCALES if left[j] > _FAR_ASKED else ())):
             change = {"scale": np.where(one, 1.0 / size, 1.0)}
             tried.append((near.costs(c.changed(**change), counted)[0], Fault(
                 f"position{j + 1}", None, f"its scale is wrong by a factor of about {size:.2g}; "

@@ -21,10 +21,10 @@ from ..errors import ParameterError
 from ..mechanisms import Mechanism
 from ..simulator import SERVO_PERIOD
 from .excitation import Builder, Limits, Motion, voltages
-from .separation import NOISE, Distance, Judge, Suspect, inside, plant_with, play
+from .separation import NOISE, Distance, Judge, Suspect, plant_with, play
 
 #: motions of a search, and of one whose columns take long
-MOTIONS, FEWER_MOTIONS = 200, 100
+MOTIONS, FEWER_MOTIONS = 150, 80
 #: columns from which they take long
 _MANY_COLUMNS = 40
 #: share of the motions that are random, and how many of the best are gone on from
@@ -34,7 +34,9 @@ _LOOKS, _NOTHING, _NO_SHARE = 10, 0.5, 1e-4
 #: gain [nat] that a name takes (see `search.LEAST_GAIN`)
 ENOUGH = 9.0
 #: how wrong parameters may be, viscous friction among them, and the machines that are tried
-_WRONG, _VISCOUS_WRONG, _MACHINES = 0.08, 0.25, 5
+_WRONG, _VISCOUS_WRONG, _MACHINES = 0.08, 0.25, 4
+#: step in which machines are simulated where no more is asked than that they stay in their ranges
+COARSE_STEP = 5e-3
 #: rows of a file, and the least rate that the filters of `explain` can use [1/s]
 _MOST_ROWS, _LEAST_RATE = 300_000, 100.0
 _SHORTEST, _LONGEST = 2.0, 600.0
@@ -125,8 +127,8 @@ def _suspect(text: str, mechanism: Mechanism, joint: int | None) -> Suspect:
     number = int(place) if place.isdigit() else None if at else joint or (1 if J == 1 else None)
     if number is None or not 1 <= number <= J:
         what = f"joint '{place}'" if at else "no joint" if number is None else f"joint {number}"
-        raise ParameterError(what, where=where,
-                             expected=f"{name}@1" + (f" to {name}@{J}, or --joint" if J > 1 else ""))
+        more = f" to {name}@{J}, or --joint" if J > 1 else ""
+        raise ParameterError(what, where=where, expected=f"{name}@1{more}")
     return Suspect(kind, number - 1)
 
 
@@ -146,7 +148,7 @@ def design(mechanism: Mechanism, suspects: tuple[Suspect, ...], *, seconds: floa
     Parameters
     ----------
     seconds : length of the record; rate : rows a second; limits : of the mechanism by default;
-    motions : how many are tried, by default some 200. The same arguments give the same bits.
+    motions : how many are tried, by default some 150. The same arguments give the same bits.
 
     Raises
     ------
@@ -164,6 +166,8 @@ def design(mechanism: Mechanism, suspects: tuple[Suspect, ...], *, seconds: floa
     one_way = _ties(judge, first)
     count = motions or (FEWER_MOTIONS if judge.columns(first[0]) > _MANY_COLUMNS else MOTIONS)
 
+    machines = _machines(judge, rng)
+    coarse = COARSE_STEP * np.arange(int(seconds / COARSE_STEP) + 1)
     best: list[tuple[float, int, Motion]] = []
     for n in range(count):
         progress("motions", n / count)
@@ -173,15 +177,16 @@ def design(mechanism: Mechanism, suspects: tuple[Suspect, ...], *, seconds: floa
             motion = builder.random(rng, wanted)
         else:
             motion = builder.changed(best[int(rng.integers(len(best)))][2], rng)
-        best.append((_score(judge.on_play(motion)), -n, motion))
-        best = sorted(best, key=lambda each: each[:2], reverse=True)[:_KEPT]
+        motion = _made_safe(judge, motion, coarse, machines, 4)
+        if motion is not None:
+            best.append((_score(judge.on_play(motion)), -n, motion))
+            best = sorted(best, key=lambda each: each[:2], reverse=True)[:_KEPT]
 
-    machines = _machines(judge, rng)
     time = np.arange(int(round(seconds * rate)) + 1) / rate
     found = []
     for n, (_, _, motion) in enumerate(best):
         progress("limits", n / len(best))
-        safe = _made_safe(judge, motion, time, machines)
+        safe = _made_safe(judge, motion, time, machines, 8)
         if safe is not None:
             found.append((_score(judge.on_play(safe)), -n, safe))
     if not found:
@@ -189,6 +194,7 @@ def design(mechanism: Mechanism, suspects: tuple[Suspect, ...], *, seconds: floa
                              f"wrong by {_WRONG:.0%}", where=mechanism.name,
                              expected="a shorter record, or wider ranges")
     nats, _, motion = max(found, key=lambda each: each[:2])
+    plain = _made_safe(judge, first[0], time, machines, 12)
     labels = tuple(s.label for s in suspects)
     if nats < _NOTHING:
         raise ParameterError(
@@ -197,7 +203,8 @@ def design(mechanism: Mechanism, suspects: tuple[Suspect, ...], *, seconds: floa
             expected=f"{ENOUGH:g} nat for a name: more time, voltage or range")
     return Design(time, np.round(voltages(mechanism, motion, time, judge.noise), 6),
                   motion.at(time)[0], motion.centre, nats,
-                  max(_score(judge.on_play(first[0])), 0.0), labels, one_way, motion, seed)
+                  0.0 if plain is None else _score(judge.on_play(plain)), labels, one_way, motion,
+                  seed)
 
 
 def _check(seconds: float, rate: float) -> None:
@@ -249,15 +256,14 @@ def _machines(judge: Judge, rng) -> list:
         mechanism.start * (1.0 + wrong * rng.choice([-1.0, 1.0], len(wrong)))
         for _ in range(_MACHINES)]
     plants = [mechanism.plant(theta) for theta in thetas]
-    for effects in judge.usual:
-        plants += [plant_with(mechanism, theta, effects) for theta in thetas[:2]]
-    return plants
+    return plants + [plant_with(mechanism, theta, effects)
+                     for theta, effects in zip(thetas[1:], judge.usual)]
 
 
-def _made_safe(judge: Judge, motion: Motion, time, machines) -> Motion | None:
+def _made_safe(judge: Judge, motion: Motion, time, machines, tries: int) -> Motion | None:
     """The motion made smaller until all machines stay in their ranges and the voltages in theirs;
     None where that does not come about."""
-    for _ in range(12):
+    for _ in range(tries):
         volts = voltages(judge.mechanism, motion, time, judge.noise)
         fits = (np.abs(volts) <= judge.limits.voltage).all()
         if fits and all(_stays(plant, motion, time, volts, judge.limits) for plant in machines):
@@ -267,5 +273,5 @@ def _made_safe(judge: Judge, motion: Motion, time, machines) -> Motion | None:
 
 
 def _stays(plant, motion, time, volts, limits) -> bool:
-    position = play(plant, motion, time, volts)
-    return position is not None and inside(position, limits)
+    position = play(plant, motion, time, volts, COARSE_STEP)
+    return position is not None and limits.hold(position)

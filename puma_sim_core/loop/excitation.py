@@ -58,6 +58,11 @@ class Limits:
         return cls(mechanism.ranges, _SPEED * span if velocity is None else np.full(J, velocity),
                    np.full(J, float(voltage)))
 
+    def hold(self, position: np.ndarray) -> bool:
+        """Whether positions (n, J) are within the ranges."""
+        low, high = np.array(self.position).T
+        return bool((position > low).all() and (position < high).all())
+
     @property
     def home(self) -> np.ndarray:
         """(J,) middle of the ranges."""
@@ -124,7 +129,7 @@ def _step(x):
             60.0 * x * (1.0 - x) * (1.0 - 2.0 * x))
 
 
-# ------------------------------------------------------------------------------- where they come from
+# ------------------------------------------------------------------------------ how they are made
 
 
 class Builder:
@@ -153,7 +158,7 @@ class Builder:
         for j in range(self.mechanism.joints):
             self._place(m, j, rng)
             if j in wanted or rng.random() < 0.6:
-                self._swing(m, j, rng, 1.0)
+                self._swing(m, j, rng)
                 if rng.random() < 0.35:
                     self._triangle(m, j, rng)
                 if rng.random() < 0.4:
@@ -179,7 +184,7 @@ class Builder:
             elif what == 3:
                 m.amplitude[j] *= np.exp(0.5 * rng.normal(size=m.amplitude.shape[1]))
             elif what == 4:
-                self._swing(m, j, rng, 1.0)
+                self._swing(m, j, rng)
             elif what == 5:
                 self._triangle(m, j, rng)
             elif what == 6:
@@ -198,16 +203,18 @@ class Builder:
                       np.tile([_REST, self.seconds - _REST], (J, 1)))
 
     def _place(self, m: Motion, j: int, rng) -> None:
-        m.centre[j] = self.limits.home[j] + (1.0 - 2.0 * _MARGIN) * self.half[j] * rng.uniform(
-            -1.0, 1.0)
+        """A pose: the middle of the range, or somewhere."""
+        away = rng.uniform(-1.0, 1.0) if rng.random() < 0.7 else 0.0
+        m.centre[j] = self.limits.home[j] + (1.0 - 2.0 * _MARGIN) * self.half[j] * away
 
-    def _swing(self, m: Motion, j: int, rng, most: float) -> None:
+    def _swing(self, m: Motion, j: int, rng) -> None:
         """The Fourier series: its base, how fast it falls off, and its size."""
         base = np.exp(rng.uniform(np.log(1.0 / self.seconds), np.log(max(_BASE,
                                                                          1.0 / self.seconds))))
         k = np.arange(1, HARMONICS + 1)
         shape = rng.normal(size=HARMONICS) / k ** rng.uniform(0.0, 2.0)
-        size = most * self.half[j] * np.exp(rng.uniform(np.log(0.02), 0.0))
+        size = self.half[j] * (rng.uniform(0.3, 1.0) if rng.random() < 0.5 else
+                               np.exp(rng.uniform(np.log(0.02), np.log(0.3))))
         m.count[j, :HARMONICS] = max(1, round(base * self.seconds)) * k
         m.phase[j, :HARMONICS] = rng.uniform(0.0, 2.0 * np.pi, HARMONICS)
         m.amplitude[j, :HARMONICS] = size * shape / np.abs(shape).sum()

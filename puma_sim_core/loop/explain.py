@@ -124,8 +124,7 @@ class Analysis:
         fit = PredictionFit(self.predictor, s.weighting)
         final = s.final
         self.progress("what is left", 0.87)
-        causal = CausalScreen(fit, final.point, final.errors,
-                              _refreshed(fit, final), p)
+        causal = CausalScreen(fit, final.point, final.errors, final.jacobian, p)
         rng = np.random.default_rng(self.seed + 1)
         shapes = shape.scores(causal, m.position_unit, np.sort(rng.uniform(0.06, 0.94, 16)))
         self.progress("what could have been seen", 0.93)
@@ -143,8 +142,11 @@ class Analysis:
         residuals = {name: self._volts(plant) for name, plant in plants.items()}
         model = plants["augmented"]
         validation = Validation(p, self.logs, self.seed)
-        floor = self.predictor.floor_in_volts(p.sampled.cutoffs[1])
-        errors = validation.errors(plants, residuals, self.predictor, self.volts, floor)
+        # the observer was made before it was known what is noise and what an effect
+        raw = np.where(self.predictor.fit_rows, self.predictor.errors(model), np.nan)
+        less = np.minimum(1.0, np.nanstd(raw, axis=0) / np.array(self.predictor.spread))
+        floor = less * self.predictor.floor_in_volts(p.sampled.cutoffs[1])
+        errors = validation.errors(plants, residuals, self.predictor, less * self.volts, floor)
         linear = p.linear(final.point.theta, final.point.effects)
         bias = feedback.test(p, self.search.settle(linear, ()))
         spread = intervals.intervals(fit, final)
@@ -159,12 +161,6 @@ class Analysis:
         except NonFiniteStateError:
             errors = np.full(self.predictor.fit_rows.shape, np.nan)
         return self.predictor.in_volts(errors, self.problem.sampled.cutoffs[1])
-
-
-def _refreshed(fit, final) -> np.ndarray:
-    """Derivatives at the final model by everything that is free in it."""
-    return np.hstack([fit.of_theta(final.point, final.errors),
-                      fit.of_effects(final.point, final.errors, final.names)[0]])
 
 
 def _held(problem: Problem, number: int):

@@ -7,9 +7,16 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterable
 
+import numpy as np
+
 from ..effects import KINDS
 from ..mechanisms import Mechanism
+from .excitation import Builder, Limits
 from .result import Hypothesis, NextExperiment
+from .separation import Judge, Suspect
+
+#: motions that are looked at before an effect counts as one that no motion shows, their length [s]
+_LOOKS, _SECONDS = 6, 5.0
 
 
 def next_experiment(mechanism: Mechanism, ties: Iterable[tuple], not_excited: Iterable,
@@ -19,8 +26,10 @@ def next_experiment(mechanism: Mechanism, ties: Iterable[tuple], not_excited: It
 
     Parameters
     ----------
-    ties : pairs of what the log cannot tell apart, each with `name` and `joint` (1-based; None for
-        the whole arm), such as `Hypothesis`; the most wanted first.
+    ties : pairs of what is named and what the log cannot tell from it, each with `name` and
+        `joint` (1-based; None for the whole arm), such as `Hypothesis`; the most wanted first.
+        Where the second has the first as a special case no record could tell, and none is asked
+        for.
     not_excited : what it says nothing of, such as `Hypothesis` or `Detectable`; those on a joint
         come before those of the whole arm.
     log_name : of the log, for the sentence.
@@ -30,13 +39,16 @@ def next_experiment(mechanism: Mechanism, ties: Iterable[tuple], not_excited: It
     -------
     None where nothing is left open that a motion could show.
     """
-    source = [("--plant", plant or mechanism.name), ("--parameters", parameters), ("--model", model)]
+    source = [("--plant", plant or mechanism.name), ("--parameters", parameters),
+              ("--model", model)]
     for first, second in ties:
-        if _can_be_shown(first, mechanism) and _can_be_shown(second, mechanism):
+        if (_can_be_shown(first, mechanism) and _can_be_shown(second, mechanism)
+                and not _within(first, second)):
             return _made(mechanism, source, log_name, _hypothesis(first), _hypothesis(second))
     wanted = [each for each in not_excited if _can_be_shown(each, mechanism)]
     for each in sorted(wanted, key=lambda each: each.joint is None):
-        return _made(mechanism, source, log_name, _hypothesis(each))
+        if _has_columns(each, mechanism):
+            return _made(mechanism, source, log_name, _hypothesis(each))
     return None
 
 
@@ -50,10 +62,27 @@ def _hypothesis(each) -> Hypothesis:
 
 
 def _can_be_shown(each, mechanism: Mechanism) -> bool:
-    """Whether a motion brings the effect out: a blow is none, nor what the mechanism cannot have."""
+    """Whether a motion brings the effect out: a blow is none, nor what a mechanism cannot have."""
     kind = KINDS.get(each.name)
     return (kind is not None and kind.screening is not None and each.name != "impulse"
             and mechanism.possible(each.name))
+
+
+def _within(first, second) -> bool:
+    """Whether the first is a special case of the second, on one joint: then every record that the
+    first explains, the second explains as well, and the simpler name stands."""
+    return (first.joint == second.joint
+            and first.name in KINDS[second.name].screening.contains)
+
+
+def _has_columns(each, mechanism: Mechanism) -> bool:
+    """Whether one of a few motions brings it out: joint 1 of an arm bears no load of gravity."""
+    builder = Builder(mechanism, Limits.of(mechanism), _SECONDS)
+    suspect = Suspect(KINDS[each.name], None if each.joint is None else each.joint - 1)
+    judge, rng = Judge(builder, (suspect,)), np.random.default_rng(0)
+    wanted = frozenset(range(mechanism.joints))
+    return any(judge.shown(0, motion) for motion in
+               (builder.plain(), *(builder.random(rng, wanted) for _ in range(_LOOKS))))
 
 
 def _made(mechanism, source, log_name: str, first: Hypothesis,

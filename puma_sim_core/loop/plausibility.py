@@ -32,7 +32,7 @@ _DRY, _OFFSET, _DRY_WIDTH = (-0.5, 6.0), 3.0, 0.02
 _DRY_COLUMN = 4
 #: a joint rests where its speed takes less than this share of the volts of a middling friction, or
 #: is below this share of its greatest speed; friction then holds it against so many times those
-_SLOW, _SLOW_SHARE, _HELD = 0.1, 0.02, 5.0
+_SLOW, _SLOW_SHARE, _HELD = 0.1, 0.02, 7.0
 #: a stop begins at these shares of the way from an end of the travel
 _STOPS = (0.06, 0.2)
 #: voltages are compared with this many times those of a middling friction, at least
@@ -136,16 +136,17 @@ class Plausibility:
         near = np.convolve(slow, np.ones(2 * reach + 1), "same") > 0.5
         return ~near & (c.enable[:, joint] > 0.99)
 
-    def fit(self, c: Coarse, joint: int, without: np.ndarray | None = None) -> Fit:
+    def fit(self, c: Coarse, joint: int, without: np.ndarray | None = None, parts=None) -> Fit:
         """The best that confined factors make of one joint's voltage; rows `without` (n,) do not
-        count."""
-        columns, low, high = self._columns(c, joint)
+        count; parts : `torques` of c."""
+        parts = parts or self.torques(c)
+        columns, low, high = self._columns(c, joint, *parts)
         counted = self.moving(c, joint)
         if without is not None:
             counted &= ~without
         volts, unit = c.voltage[:, joint], self.unit[joint]
         if counted.sum() < 2 * columns.shape[1]:
-            return self._at_rest(c, joint)
+            return self._at_rest(c, joint, parts[0])
         sizes = np.sqrt(np.mean(columns[counted] ** 2, axis=0)) + 1e-12
         table, wanted = columns[counted] / sizes, volts[counted]
         # a triangle of the same normal equations: quick for any number of rows
@@ -158,26 +159,28 @@ class Plausibility:
         return Fit(int(counted.sum()), _rms(residual[counted]), float(np.std(wanted)),
                    float(max(dry, 0.0)), residual, counted)
 
-    def _at_rest(self, c: Coarse, joint: int) -> Fit:
+    def torques(self, c: Coarse) -> tuple[np.ndarray, np.ndarray]:
+        """(n, J) torque of the links, and the part of gravity."""
+        return (self.mechanism.torque(self.theta, c.position, c.velocity, c.acceleration),
+                self.mechanism.gravity(self.theta, c.position))
+
+    def _at_rest(self, c: Coarse, joint: int, torque: np.ndarray) -> Fit:
         """A joint that does not move: volts beyond those that friction holds are left over."""
         counted = c.enable[:, joint] > 0.99
-        held = self.k[joint] * self.mechanism.torque(self.theta, c.position, c.velocity,
-                                                     c.acceleration)[:, joint]
-        beyond = c.voltage[:, joint] - held
+        beyond = c.voltage[:, joint] - self.k[joint] * torque[:, joint]
         beyond = np.sign(beyond) * np.maximum(np.abs(beyond) - _HELD * self.unit[joint], 0.0)
         if not counted.any():
             return Fit(0, 0.0, 0.0, None, beyond, counted)
         return Fit(0, _rms(beyond[counted]), float(np.std(c.voltage[counted, joint])), None,
                    beyond, counted)
 
-    def _columns(self, c: Coarse, joint: int):
+    def _columns(self, c: Coarse, joint: int, torque: np.ndarray, weight: np.ndarray):
         """Columns (n, p) [V] of a joint's voltage, and the bounds (p,) of their factors."""
-        m, k, unit = self.mechanism, self.k[joint], self.unit[joint]
+        k, unit = self.k[joint], self.unit[joint]
         q, v = c.position[:, joint], c.velocity[:, joint]
-        gravity = k * m.gravity(self.theta, c.position)
-        inertial = k * (m.torque(self.theta, c.position, c.velocity, c.acceleration)[:, joint]
+        gravity = k * weight
+        inertial = k * (torque[:, joint] - weight[:, joint]
                         + self.drive.motor_inertia[joint] * c.acceleration[:, joint])
-        inertial -= gravity[:, joint]
         speed = self.speed[joint] * v
         fastest, reach = float(np.abs(v).max()) or 1.0, float(np.ptp(q)) or 1.0
         sign = np.tanh(v / (_DRY_WIDTH * fastest))
@@ -206,7 +209,8 @@ class Plausibility:
 
     def fits(self, c: Coarse) -> list[Fit]:
         """`fit` of each joint."""
-        return [self.fit(c, joint) for joint in range(c.joints)]
+        parts = self.torques(c)
+        return [self.fit(c, joint, parts=parts) for joint in range(c.joints)]
 
     def shares(self, fits: list[Fit], floor: float = _FLOOR) -> np.ndarray:
         """(J,) `share` of each joint."""

@@ -271,11 +271,8 @@ class PredictionFit:
 
     def errors(self, point: Point) -> np.ndarray | None:
         """(N, J) white innovations, None where the model cannot be run."""
-        try:
-            plant = self.mechanism.plant(point.theta, point.effects)
-            return self.weighting(self.predictor.errors(plant))
-        except (NonFiniteStateError, ParameterError):
-            return None
+        raw = self._raw(point)
+        return None if raw is None else self.weighting(raw)
 
     def objective(self, errors: np.ndarray, theta: np.ndarray) -> float:
         """Half the sum of squares, of the rows to fit and of the parameters' prior."""
@@ -283,39 +280,44 @@ class PredictionFit:
         step = (theta - m.start) / m.deviations
         return 0.5 * float((errors[self.rows] ** 2).sum() + step @ step)
 
-    def of_theta(self, point: Point, errors: np.ndarray) -> np.ndarray:
-        """(N', p) derivatives of the white errors to fit by parameters, per deviation."""
-        m = self.mechanism
+    def derivatives(self, point: Point, pairs) -> np.ndarray:
+        """(N, J, p + c) derivatives of the raw innovations by the mechanism's parameters, per
+        deviation, and by parameters of effects, per size (`sizes`)."""
+        raw = self._raw(point)
+        if raw is None:
+            raise ParameterError("a model that cannot be run along the log", where="prediction",
+                                 expected="the parameters of a fit")
         columns = []
-        for k, width in enumerate(m.deviations):
+        for k, width in enumerate(self.mechanism.deviations):
             theta = point.theta.copy()
             theta[k] += _DIFFERENCE * width
-            moved = self.errors(Point(theta, point.effects))
-            columns.append(np.zeros(int(self.rows.sum())) if moved is None else
-                           (moved[self.rows] - errors[self.rows]) / _DIFFERENCE)
-        return np.column_stack(columns) if columns else np.zeros((int(self.rows.sum()), 0))
+            moved = self._raw(Point(theta, point.effects))
+            columns.append(np.zeros_like(raw) if moved is None else (moved - raw) / _DIFFERENCE)
+        for number, name in pairs:
+            columns.append(self._by_effect(point, raw, number, name))
+        return (np.stack(columns, axis=2) if columns
+                else np.zeros((*raw.shape, 0)))
 
-    def of_effects(self, point: Point, errors: np.ndarray, free) -> tuple[np.ndarray, list]:
-        """(N', c) derivatives by the free parameters of effects, and the steps they were per."""
-        columns, sizes = [], []
-        for number, name in free:
-            effect = point.effects[number]
-            size = max(abs(effect.values[name]), 0.3 * typical(effect, name))
-            moved = None
-            for sign in (1.0, -1.0):
-                value = effect.values[name] + sign * _EFFECT_DIFFERENCE * size
-                moved = self._moved(point, number, name, value)
-                if moved is not None:
-                    break
-            columns.append(np.zeros(int(self.rows.sum())) if moved is None else
-                           (moved[self.rows] - errors[self.rows]) / (sign * _EFFECT_DIFFERENCE))
-            sizes.append(size)
-        return (np.column_stack(columns) if columns
-                else np.zeros((int(self.rows.sum()), 0))), sizes
+    def white(self, derivatives: np.ndarray) -> np.ndarray:
+        """(N', p) raw derivatives (N, J, p) in this weighting, at the rows to fit."""
+        return self.weighting(derivatives)[self.rows]
 
-    def _moved(self, point, number, name, value):
-        effects = _with_value(point.effects, number, name, value)
-        return None if effects is None else self.errors(Point(point.theta, effects))
+    def _raw(self, point: Point) -> np.ndarray | None:
+        try:
+            return self.predictor.errors(self.mechanism.plant(point.theta, point.effects))
+        except (NonFiniteStateError, ParameterError):
+            return None
+
+    def _by_effect(self, point, raw, number, name) -> np.ndarray:
+        effect = point.effects[number]
+        size = max(abs(effect.values[name]), 0.3 * typical(effect, name))
+        for sign in (1.0, -1.0):
+            effects = _with_value(point.effects, number, name,
+                                  effect.values[name] + sign * _EFFECT_DIFFERENCE * size)
+            moved = None if effects is None else self._raw(Point(point.theta, effects))
+            if moved is not None:
+                return (moved - raw) / (sign * _EFFECT_DIFFERENCE)
+        return np.zeros_like(raw)
 
     def run(self, point: Point, free, *, known=None, known_free=(), rounds: int = 4
             ) -> Fitted | None:
@@ -338,10 +340,11 @@ class PredictionFit:
         full = None
         for _ in range(rounds):
             if known is None:
-                T, (E, _) = self.of_theta(point, errors), self.of_effects(point, errors, pairs)
-                full = np.hstack([T, E])
+                full = self.white(self.derivatives(point, pairs))
             else:
-                full = np.hstack([known, self.of_effects(point, errors, free)[0]])
+                raw = self._raw(point) if free else None
+                full = np.hstack([known, *(self.white(self._by_effect(point, raw, number, name)
+                                                      [:, :, None]) for number, name in free)])
             sizes = self.sizes(point, pairs)
             p = len(m.deviations)
             position = (point.theta - m.start) / m.deviations

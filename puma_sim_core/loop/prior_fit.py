@@ -31,6 +31,7 @@ class PriorFit:
     def __init__(self, model: Plausibility):
         self.model = model
         self.mechanism = model.mechanism
+        self.slopes = self.mechanism.drive_jacobian(model.theta)
 
     def costs(self, c: Coarse, counted: list[np.ndarray], joints=None) -> tuple[float, float]:
         """(all, that of what is left over): cost of the best parameters and effects.
@@ -40,9 +41,10 @@ class PriorFit:
         m, theta, model = self.mechanism, self.model.theta, self.model
         joints = range(c.joints) if joints is None else joints
         q, qd, qdd = c.position, c.velocity, c.acceleration
-        expected = m.model_voltage(theta, q, qd, qdd)
-        slopes = m.voltage_jacobian(theta, q, qd, qdd) * m.deviations
-        shared = [slopes]
+        torque = (m.torque(theta, q, qd, qdd) + model.drive.motor_inertia * qdd
+                  + model.drive.viscous * qd)
+        expected = model.k * torque + model.drive.emf * qd
+        shared = [self._slopes(c, torque) * m.deviations]
         load = m.payload_torque(theta, _LEVER, q, qd, qdd)
         if load is not None:
             shared.append((_LOAD * model.k * load)[:, :, None])
@@ -79,3 +81,13 @@ class PriorFit:
         x = np.linalg.solve(normal, table.T @ wanted)
         left = float(np.sum((wanted - table @ x) ** 2))
         return 0.5 * (left + float(x @ x)), 0.5 * left
+
+    def _slopes(self, c: Coarse, torque: np.ndarray) -> np.ndarray:
+        """(n, J, p) derivative of the model's voltage, as `Mechanism.voltage_jacobian` has it; the
+        drive's derivatives are taken once."""
+        q, qd, qdd, s = c.position, c.velocity, c.acceleration, self.slopes
+        result = self.mechanism.link_jacobian(self.model.theta, q, qd, qdd)
+        result += qdd[:, :, None] * s.motor_inertia + qd[:, :, None] * s.viscous
+        result *= self.model.k[:, None]
+        return (result + torque[:, :, None] * s.volts_per_torque
+                + qd[:, :, None] * s.emf)

@@ -30,13 +30,15 @@ _BLOW, _MARGIN = 20.0, 1.5
 _AROUND, _SPIKE = 5, 25
 #: more rows than this share out of line are no single faults
 _MANY = 0.03
-#: a joint that is held may have so many times the volts of its dry friction, and one that never
-#: moved so many of a middling one
-_STUCK, _STUCK_UNKNOWN = 2.2, 5.0
+#: a joint that is held may have so many times the volts of its dry friction and, beside them, so
+#: many of a middling one; at most, or where it never moved, so many of those
+_STUCK, _BESIDE, _STUCK_UNKNOWN = 2.2, 3.0, 7.0
+#: and so many times that at an end of its travel, outward
+_AT_AN_END = 5.0
 #: share of a voltage that may be left over where a stretch of the position is called frozen
 _EXPLAINED = 0.4
 #: a frozen channel is one whose joint would have moved by this share of its range
-_FROZEN_TRAVEL = 8e-3
+_FROZEN_TRAVEL = 0.02
 
 
 def number_faults(log) -> list[Fault]:
@@ -155,19 +157,21 @@ def position_faults(log, model: Plausibility) -> list[Fault]:
                                    f"{line.excess[r]:.3g}; expected a motion that goes on"))
             else:
                 jumps.setdefault(r, []).append(j)
-    found += [_jump(log, r, parts, lines) for r, parts in jumps.items()]
+    for r, parts in jumps.items():
+        found += _jump(log, r, parts, lines)
     return _first_of_each(found)
 
 
 @dataclass(frozen=True)
 class _Line:
     """What one position does from row to row: rows (m,) that no motion reaches from the row
-    before, by how much (n,), what is allowed (n,), slope around (n,)."""
+    before, by how much (n,), what is allowed (n,), slope around and its change there (n,)."""
 
     rows: np.ndarray
     excess: np.ndarray
     allowed: np.ndarray
     slope: np.ndarray
+    bend: np.ndarray
 
 
 def _out_of_line(log, j, limit, volts, model) -> _Line:
@@ -187,7 +191,7 @@ def _out_of_line(log, j, limit, volts, model) -> _Line:
     allowed = np.maximum(reach, max(10.0 * noise, 4.0 * log.quantum[j], 1e-9))
     allowed = np.r_[np.inf, allowed]
     return _Line(np.flatnonzero(np.abs(excess) > allowed), excess, allowed,
-                 np.r_[0.0, 0.5 * (before + after)])
+                 np.r_[0.0, 0.5 * (before + after)], np.r_[0.0, np.abs(after - before)])
 
 
 def _comes_back(log, j, r, later, line) -> int | None:
@@ -211,20 +215,21 @@ def _run_before(q, r: int) -> int:
     return start
 
 
-def _jump(log, r: int, parts: list[int], lines: list[_Line]) -> Fault:
+def _jump(log, r: int, parts: list[int], lines: list[_Line]) -> list[Fault]:
     """A jump without return: of all that moves, on its way, it is rows that are missing."""
-    j = parts[0]
-    lost = np.median([lines[k].excess[r] / lines[k].slope[r] if lines[k].slope[r] else -1.0
-                      for k in parts])
+    j = max(parts, key=lambda k: abs(lines[k].slope[r]))
+    lost = lines[j].excess[r] / lines[j].slope[r] if lines[j].slope[r] else -1.0
     onward = lost > 0.0 and all(
         abs(line.excess[r] - lost * line.slope[r])
-        < 0.4 * abs(lost * line.slope[r]) + line.allowed[r] for line in lines)
+        < lost * (0.3 * abs(line.slope[r]) + 0.5 * line.bend[r]) + line.allowed[r]
+        for line in lines)
+    found = [Fault(f"position{j + 1}", r + 1, f"a jump by {lines[j].excess[r]:.3g} at "
+                   f"{log.place(r)}; expected a motion that the drive can make") for j in parts]
     if onward:
-        return Fault("time", r + 1, f"the motion jumps on by {lost:.3g} s at {log.place(r)} while "
-                     "the stamps do not: rows are missing; expected every row, or stamps that "
-                     "tell of the gap")
-    return Fault(f"position{j + 1}", r + 1, f"a jump by {lines[j].excess[r]:.3g} at {log.place(r)};"
-                 " expected a motion that the drive can make")
+        found.insert(0, Fault("time", r + 1, f"the motion jumps on by {lost:.3g} s at "
+                              f"{log.place(r)} while the stamps do not: rows are missing; expected "
+                              "every row, or stamps that tell of the gap"))
+    return found
 
 
 def voltage_spikes(log, model: Plausibility) -> list[Fault]:
@@ -279,21 +284,20 @@ def frozen_positions(log, model: Plausibility, c: Coarse) -> list[Fault]:
         if fit.rows and model.share(fit, j) > _EXPLAINED:
             continue            # neither is the motion, then
         held = (_STUCK_UNKNOWN * model.unit[j] if fit.dry is None else
-                min(_STUCK_UNKNOWN * model.unit[j], _STUCK * fit.dry + model.unit[j]))
+                min(_STUCK_UNKNOWN * model.unit[j], _STUCK * fit.dry + _BESIDE * model.unit[j]))
         beyond = c.voltage[:, j] - static[:, j]
-        beyond = np.sign(beyond) * np.maximum(np.abs(beyond) - held, 0.0) * c.enable[:, j]
+        beyond = np.sign(beyond) * np.maximum(np.abs(beyond) - held, 0.0) * (c.enable[:, j] > 0.99)
         low, high = float(q.min()), float(q.max())
         for first, last in _runs(q, log.time, 0.15):
             inside = (at >= log.time[first]) & (at <= log.time[last])
             if inside.sum() < 3:
                 continue
             push = beyond[inside]
-            steady = np.ptp(c.voltage[inside, j]) < 2.0 * model.unit[j]
-            if low < high and steady:      # into a stop, at an end of the travel
+            if low < high:      # a stop, or friction with the weight, at an end of the travel
                 if q[first] >= high - 0.02 * (high - low):
-                    push = np.minimum(push, 0.0)
+                    push = np.minimum(push, np.maximum(push - _AT_AN_END * held, 0.0))
                 if q[first] <= low + 0.02 * (high - low):
-                    push = np.maximum(push, 0.0)
+                    push = np.maximum(push, np.minimum(push + _AT_AN_END * held, 0.0))
             travel = float(np.abs(push).sum()) * c.step / max(model.speed[j], 1e-12)
             width = float(np.ptp(model.mechanism.ranges[j]))
             if travel > max(_FROZEN_TRAVEL * width, 20.0 * log.quantum[j]):

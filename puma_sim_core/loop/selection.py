@@ -12,7 +12,7 @@ the price of their free coefficients ranks them.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -37,7 +37,15 @@ _SLOW, _FAST, _LEAST_SCREENED = 6, 4, 2.0
 #: gain [nat] that a kind must be better by than one that it contains, and than one it replaces
 PARSIMONY, SWAP = 4.0, 3.0
 #: a tie: gains closer than this [nat], or than this share of the better one
-TIE_NATS, TIE_SHARE = 8.0, 0.01
+TIE_NATS, TIE_SHARE = 8.0, 0.003
+#: share of its screened gain that a threshold's fit must reach, else all derivatives are taken anew
+_PROMISED = 0.7
+#: least share of the best gain of what is named in place of the best
+_GIVING_WAY = 0.4
+#: shares of a screened threshold that a fit may start from
+_STARTS = (0.7, 0.8, 0.87, 0.94, 1.0, 1.07, 1.15, 1.3)
+#: change [nat] of the rows kept back below which an effect does not act on them
+_UNTOUCHED = 1.5
 #: parameters that a screening gives and a fit leaves alone
 STRUCTURAL = frozenset({"motor_share", "order", "ratio", "x", "y"})
 #: how far outside its plausible sizes a parameter may come out
@@ -129,7 +137,10 @@ class Selection:
             weighting = stage.weighting
             point, keys = self.tidied(point, keys, weighting, stages, prices)
         fit = PredictionFit(self.predictor, weighting)
-        final = fit.run(point, self.free(point, keys), rounds=4)
+        pairs = self.free(point, keys)
+        known = fit.white(fit.derivatives(point, pairs))
+        final = fit.run(point, (), known=known, known_free=pairs)
+        final = replace(final, jacobian=fit.white(fit.derivatives(final.point, pairs)))
         return Selected(retuned, final, keys, stages, weighting, prices)
 
     # one stage
@@ -138,8 +149,9 @@ class Selection:
         """Screen, and try the short list."""
         fit = PredictionFit(self.predictor, weighting)
         known_free = self.free(point, keys)
-        base = fit.run(point, known_free, rounds=3)
-        known = self._derivatives(fit, base, known_free)
+        raw = fit.derivatives(point, known_free)
+        known = fit.white(raw)
+        base = fit.run(point, (), known=known, known_free=known_free)
         causal = CausalScreen(fit, base.point, base.errors, known, self.problem)
         slow = self._slow(keys, base)
         fast = self._fast(causal, keys)
@@ -151,8 +163,8 @@ class Selection:
             # gains are those in the noise that the best explanation leaves
             weighting = self.predictor.weighting(self._raw(best.fitted.point))
             fit = PredictionFit(self.predictor, weighting)
-            base = fit.run(base.point, known_free, rounds=3)
-            known = self._derivatives(fit, base, known_free)
+            known = fit.white(raw)
+            base = fit.run(base.point, (), known=known, known_free=known_free)
             starts = {t.key: t.fitted.point.effects[-1] for t in trials if t.fitted is not None}
             kept = [s for s in short if (s.name, s.joint) in starts]
             trials = [self.trial(fit, base, known, known_free, s, starts[s.name, s.joint])
@@ -172,8 +184,11 @@ class Selection:
         threshold = max(LEAST_GAIN, PLACEBO_FACTOR * chance + PLACEBO_MARGIN)
         if stages and stages[0].accepted is not None:
             threshold = max(threshold, LEAST_SHARE * stages[0].accepted.gain)
-        if accepted is not None and not (accepted.gain > threshold and accepted.held_gain > 0.0):
-            accepted = None
+        # one that does not lower the error on rows kept back gives way to the next that does
+        passing = [t for t in trials if t.problem is None and t.held_gain > 0.0
+                   and t.gain > max(threshold, _GIVING_WAY * best.gain)] if best else []
+        if accepted is not None and accepted not in passing:
+            accepted = self._parsimonious(passing[0], passing) if passing else None
         screened = sorted(slow + fast, key=lambda s: -s.gain)
         return Stage(trials, threshold, base, screened, weighting, accepted, chance)
 
@@ -185,15 +200,40 @@ class Selection:
         except ParameterError as problem:
             return Trial(scored.name, scored.joint, 0.0, 0.0, None, scored.price, str(problem))
         number = len(base.point.effects)
+        if start is None and scored.entry is not None and scored.entry.candidate.fixed:
+            effect = self._best_start(fit, base, effect, next(iter(scored.values)))
         point = Point(base.point.theta, (*base.point.effects, effect))
         free = [(number, name) for name in self._names(effect, scored.values)]
         fitted = fit.run(point, free, known=known, known_free=known_free, rounds=5)
         if fitted is None:
             return None
+        if (start is None and scored.entry is not None and scored.entry.candidate.fixed
+                and base.objective - fitted.objective < _PROMISED * scored.gain):
+            # where a limit holds, the parameters act otherwise than the model without it says
+            again = fit.run(fitted.point, (*known_free, *free), rounds=3)
+            fitted = again or fitted
         gain = base.objective - fitted.objective - max(scored.price, 0.0)
         held = fit.held_sum(base.errors) - fit.held_sum(fitted.errors)
+        if fit.held_sum(base.errors - fitted.errors) < _UNTOUCHED:
+            # a limit that was met, or a blow that fell, elsewhere: nothing is said against it here
+            held = max(held, _UNTOUCHED)
         return Trial(scored.name, scored.joint, gain, held, fitted, max(scored.price, 0.0),
                      self._implausible(fitted.point.effects[-1]))
+
+    def _best_start(self, fit, base: Fitted, effect: Effect, name: str) -> Effect:
+        """The effect with the value of a threshold or a stiffness that fits best of a few: it acts
+        where that value is, which no slope tells."""
+        spec = next(p for p in effect.kind.parameters if p.name == name)
+        best = None
+        for share in _STARTS:
+            value = min(max(share * effect.values[name], spec.low), spec.high)
+            moved = Effect(effect.kind, effect.joint, {**effect.values, name: value})
+            errors = fit.errors(Point(base.point.theta, (*base.point.effects, moved)))
+            if errors is not None:
+                objective = fit.objective(errors, base.point.theta)
+                if best is None or objective < best[0]:
+                    best = objective, moved
+        return effect if best is None else best[1]
 
     def tidied(self, point, keys, weighting, stages, prices):
         """Effects that the later ones made needless are taken out, or replaced by a rival."""
@@ -202,8 +242,9 @@ class Selection:
             rest = tuple(k for n, k in enumerate(keys) if n != number)
             without = Point(point.theta, tuple(e for n, e in enumerate(point.effects)
                                                if n != number))
-            full = fit.run(point, self.free(point, keys), rounds=2)
-            known = self._derivatives(fit, full, self.free(point, keys))
+            pairs = self.free(point, keys)
+            known = fit.white(fit.derivatives(point, pairs))
+            full = fit.run(point, (), known=known, known_free=pairs)
             p = known.shape[1]
             own = [k for k, (n, _) in enumerate(self.free(point, keys)) if n == number]
             first = len(point.theta)
@@ -283,11 +324,6 @@ class Selection:
     def _raw(self, point: Point) -> np.ndarray:
         return self.predictor.errors(self.mechanism.plant(point.theta, point.effects))
 
-    def _derivatives(self, fit, base: Fitted, pairs) -> np.ndarray:
-        """(N', p + c) derivatives at a fitted model."""
-        T = fit.of_theta(base.point, base.errors)
-        return np.hstack([T, fit.of_effects(base.point, base.errors, pairs)[0]])
-
     def _slow(self, keys, base: Fitted) -> list[Scored]:
         linear = self.problem.linear(base.point.theta, base.point.effects)
         stage = self.search.stage(linear, (), self.bank)
@@ -312,7 +348,7 @@ class Selection:
     def _placebo(self, fit, best: Trial, short) -> float:
         """Greatest gain of shifted innovations over the short list's own columns."""
         pairs = self.free(best.fitted.point, ())
-        known = self._derivatives(fit, best.fitted, pairs)
+        known = fit.white(fit.derivatives(best.fitted.point, pairs))
         causal = CausalScreen(fit, best.fitted.point, best.fitted.errors, known, self.problem)
         greatest = 0.0
         for s in short:

@@ -90,7 +90,7 @@ class Judge:
         time = self._time(motion)
         volts = voltages(self.mechanism, motion, time, self.noise)
         position = play(plant_with(self.mechanism, None, effects), motion, time, volts, _FINE)
-        if position is None or not inside(position, self.limits):
+        if position is None or not self.limits.hold(position):
             return None
         return self._seen(*filters.low_pass(position, self.step, _FIRST, (0, 1, 2)), volts)
 
@@ -193,12 +193,6 @@ def play(plant, motion: Motion, time, volts, max_step: float = SERVO_PERIOD) -> 
         return simulator.run(time, volts).position
     except NonFiniteStateError:
         return None
-
-
-def inside(position: np.ndarray, limits: Limits) -> bool:
-    """Whether positions (n, J) are within the ranges."""
-    low, high = np.array(limits.position).T
-    return bool((position > low).all() and (position < high).all())
 
 
 class _Parameters:

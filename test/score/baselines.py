@@ -20,7 +20,7 @@ from scipy.stats import chi2
 from puma_sim_core.effects import KINDS, Effect
 from puma_sim_core.effects.screening import Illegal
 from puma_sim_core.errors import PumaSimError
-from puma_sim_core.loop.evidence import Bank
+from puma_sim_core.loop.evidence import Bank, Scored
 
 _SIGNIFICANT = 0.05
 _MOST = 6
@@ -127,7 +127,6 @@ def _forward(bench, bank: Bank) -> dict:
 
 def _chosen(bench, bank: Bank, entry):
     """An entry as part of the model, with no prior to speak of."""
-    from puma_sim_core.loop.evidence import Scored
     name, joint = bank.hypotheses[entry.hypothesis]
     c = entry.candidate
     free = replace(entry, candidate=replace(c, mean=np.zeros(len(c.mean)),

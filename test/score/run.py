@@ -54,6 +54,8 @@ def main(arguments=None) -> int:
     left = [recipe for recipe in recipes if _key(recipe) not in done]
     print(f"{len(recipes)} records, seeds {seed} to {seed + len(recipes) - 1}, "
           f"{len(recipes) - len(left)} of them explained before", flush=True)
+    if left:
+        jobs.warm_up()
     with tempfile.TemporaryDirectory(prefix="score-") as records, \
             open(folder / "outcomes.jsonl", "a", encoding="utf-8") as kept:
         kept.write("\n")  # the line before may have been cut short

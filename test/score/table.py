@@ -129,7 +129,7 @@ def text(rows: list[dict], title: str = "") -> str:
                 f"{100 * low:.1f} to {100 * high:.1f} %.",
             f"Left out of accuracy: {small} records whose effect has a size below {LEAST_SIZE}."]
     out += _by_size("size", seen) + _by_size(
-        "distinct_size", [r for r in of["single"] if r["truth"][0][0] != "coulomb_friction"])
+        "distinct_size", [r for r in seen if r["truth"][0][0] != "coulomb_friction"])
     return "\n".join(out + _by_parameter(seen + pairs) + _by_effect(seen)
                      + _by_what("outside the library", of["outside"])
                      + _by_what("faults", of["fault"]))

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""`explain` on records of another engine, with effects that it is not told of.
+
+The answers are read by the assertions alone, after the record was explained.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+import json
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("scipy")
+
+from puma_sim_core.loop import explain
+from puma_sim_core.loop.report_json import report_mapping, report_text
+from score import scoring
+
+RECORDS = Path(__file__).parent / "blind" / "records"
+#: open loop, and under feedback
+NOTHING = ("record_001000", "record_001002")
+SINGLE = ("record_001004", "record_001014", "record_001015")
+PAIR, OUTSIDE = "record_001016", "record_001018"
+FAULTS = ("record_001020", "record_001021", "record_001022", "record_001023")
+#: [s] that a record may take on a machine that does much else, compilation included
+SLOW = pytest.mark.timeout(400)
+
+
+@lru_cache(maxsize=None)
+def explained(name: str) -> dict:
+    """What is said of a record, as report.json has it; nothing else is known of it."""
+    return report_mapping(explain(str(RECORDS / f"{name}.csv")))
+
+
+def answer(name: str) -> dict:
+    return json.loads((RECORDS / "answers.json").read_text())[name]
+
+
+def assert_held_out_falls(report: dict) -> None:
+    """By what is named, and far below that of the nominal model."""
+    error = {stage: scoring.held_out(report, stage) for stage in ("nominal", "retuned",
+                                                                  "augmented")}
+    assert error["augmented"] < 0.7 * error["retuned"] and error["augmented"] < error["nominal"]
+
+
+@SLOW
+@pytest.mark.parametrize("name", NOTHING)
+def test_nothing_is_missing_where_parameters_are_only_wrong(name):
+    report = explained(name)
+    assert report["verdict"] == "NOTHING_MISSING" and report["effects"] == []
+    assert scoring.held_out(report, "retuned") < 0.5 * scoring.held_out(report, "nominal")
+    assert scoring.kind_of(answer(name)) == "nothing"
+    # an honest sentence: it says of each effect what it would have seen
+    assert any(row["size"] != "NOT_EXCITED" for row in report["detectability"])
+
+
+@SLOW
+@pytest.mark.parametrize("name", SINGLE)
+def test_the_effect_is_named_with_its_joint(name):
+    report = explained(name)
+    assert report["verdict"] in ("NAMED", "NAMED_WITH_REMAINDER")
+    assert scoring.said_of(report) == scoring.truth_of(answer(name))
+    assert_held_out_falls(report)
+
+
+@SLOW
+def test_both_effects_of_a_pair_are_named():
+    report = explained(PAIR)
+    assert sorted(scoring.said_of(report)) == sorted(scoring.truth_of(answer(PAIR)))
+    assert_held_out_falls(report)
+
+
+@SLOW
+def test_what_is_outside_the_library_has_no_name_but_a_shape():
+    report = explained(OUTSIDE)
+    assert report["verdict"] in scoring.ABSTAINED
+    shape, outside = report["shape"], answer(OUTSIDE)["outside"]
+    assert scoring.axis_right(shape, outside) and shape["joint"] == outside["joint"]
+    if "line_hz" in outside:
+        assert shape["line_hz"] == pytest.approx(outside["line_hz"], abs=0.2)
+
+
+@SLOW
+@pytest.mark.parametrize("name", FAULTS)
+def test_faulty_data_get_no_name_but_channel_and_row(name):
+    report = explained(name)
+    assert report["effects"] == [] and report["shape"] is None
+    right = scoring.fault_right({"report": report}, answer(name)["faults"])
+    assert right == (True, True, True), report["faults"]
+
+
+@pytest.mark.timeout(900)
+def test_most_intervals_hold_the_truth():
+    held = {}
+    for name in (*SINGLE, PAIR):
+        held |= {(name, key): inside
+                 for key, inside in scoring.coverage(explained(name), answer(name))}
+    assert len(held) >= 5
+    assert sum(held.values()) >= 0.7 * len(held), held
+
+
+@SLOW
+def test_the_same_record_gives_the_same_report_to_the_byte():
+    path = str(RECORDS / f"{SINGLE[0]}.csv")
+
+    def text(explanation):
+        lines = report_text(explanation).splitlines()
+        return [line for line in lines if not line.lstrip().startswith('"seconds"')]
+
+    once, again = text(explain(path)), text(explain(path))
+    assert once == again and len(once) > 50
