@@ -65,8 +65,9 @@ def record(out: Path, model: Path, duration: float, seed: int) -> Path:
 def explain(bag: Path, out: Path) -> dict:
     """Run `puma-sim explain` on the bag in a process of its own; its report.json."""
     done = subprocess.run([sys.executable, "-m", "puma_sim_core", "explain", str(bag),
-                           "--out", str(out)], env=environment(), timeout=_PATIENCE,
-                          stdout=subprocess.DEVNULL)
+                           "--out", str(out)], stdout=subprocess.DEVNULL,
+                          # its matrices are small: threads would only wait for one another
+                          env=environment(OPENBLAS_NUM_THREADS="1"), timeout=_PATIENCE)
     if done.returncode != 0:
         raise ProgramError(f"puma-sim explain ended with status {done.returncode}", where=bag)
     return json.loads((out / "report.json").read_text(encoding="utf-8"))

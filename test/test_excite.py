@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import shlex
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,12 +14,15 @@ import pytest
 from puma_sim_core.cli import main, parser
 from puma_sim_core.effects import KINDS, parse_effect
 from puma_sim_core.errors import ParameterError
-from puma_sim_core.loop import explain
 from puma_sim_core.loop.design import ENOUGH, design, suspects_of
+from puma_sim_core.loop.evidence import screen
 from puma_sim_core.loop.excitation import Builder, Limits, voltages
 from puma_sim_core.loop.ingest import Log
 from puma_sim_core.loop.next_experiment import label, next_experiment
+from puma_sim_core.loop.problem import Problem
 from puma_sim_core.loop.result import Hypothesis
+from puma_sim_core.loop.sampling import sample
+from puma_sim_core.loop.search import Search
 from puma_sim_core.loop.separation import Judge, _Parameters, play
 from puma_sim_core.mechanisms import load_mechanism
 from puma_sim_core.plant import dump_model
@@ -288,21 +290,31 @@ def recorded(machine, motion, *effects, seed=4):
     return Log("log", time, volts, np.round(position / count) * count)
 
 
-def test_a_tie_is_broken_by_the_excitation_for_it(monkeypatch):
-    """A poor log cannot tell an encoder's offset from the amplifier's; its next experiment can."""
-    few = {name: KINDS[name] for name in ("encoder_offset", "voltage_offset")}
-    monkeypatch.setattr(sys.modules["puma_sim_core.loop.explain"], "KINDS", few)
-    machine = MACHINES["pendulum"]
+def gains(machine, log, names):
+    """Gain of log evidence [nat] of each effect, in the noise that the best of them leaves."""
+    search = Search(Problem(sample([log]), machine), {name: KINDS[name] for name in names})
+    fit = search.retune(machine.start)
+    bank = search.bank(fit.theta)
+    for _ in range(2):
+        best = max(screen(fit.base, fit.base.whiten(bank)), key=lambda s: s.gain)
+        weights = search.settle(fit.linear, (search.choose(best, bank),)).weights
+        fit = search.base(fit.linear, (), weights)
+    return {s.name: s.gain for s in screen(fit.base, fit.base.whiten(bank))}
+
+
+@pytest.mark.parametrize("truth", ("encoder_offset:joint=1,angle=0.03",
+                                   "voltage_offset:joint=1,voltage=0.15"))
+def test_a_tie_is_broken_by_the_excitation_for_it(truth):
+    """A small slow sine cannot tell a sensor's offset from the amplifier's; what is written can."""
+    machine, names = MACHINES["pendulum"], ("encoder_offset", "voltage_offset")
+    other, = set(names) - {truth.partition(":")[0]}
     slow = Builder(machine, Limits.of(machine), 8.0).plain()
-    slow = slow.shrunk(np.array([0.2]), slow.centre)
-    effect = "encoder_offset:joint=1,angle=0.04"
-    poor = explain(recorded(machine, slow, effect), plant="pendulum")
-    first, = poor.effects
-    both = {first.name, *(each.name for each in first.tied_with)}
-    assert both == set(few) == {each.name for each in poor.next_experiment.separate}
-    options = parser().parse_args(shlex.split(poor.next_experiment.command)[1:])
+    slow = slow.shrunk(np.array([0.1]), slow.centre)
+    poor = gains(machine, recorded(machine, slow, truth), names)
+    assert min(poor.values()) > ENOUGH and abs(np.diff(list(poor.values()))[0]) < 8.0
+    asked = next_experiment(machine, [tuple(Hypothesis(name, 1) for name in names)], (), "log.csv")
+    options = parser().parse_args(shlex.split(asked.command)[1:])
     found = designed(options.plant, options.separate)
-    good = explain(recorded(machine, found.motion, effect), plant="pendulum")
-    named, = good.effects
-    assert named.name == "encoder_offset" and not named.tied_with
-    assert named.parameters["angle"].value == pytest.approx(0.04, abs=0.004)
+    good = gains(machine, recorded(machine, found.motion, truth), names)
+    named = good[truth.partition(":")[0]]
+    assert named - good[other] > max(8.0, 0.05 * named)

@@ -147,6 +147,32 @@ class CausalScreen:
             return scored
         return scored, chance - np.log(len(rows))
 
+    def chance(self, scored: list, shifts) -> float:
+        """Greatest gain of placebos: the innovations after the best of several explanations,
+        shifted in a circle, against all of them.
+
+        scored : (`Scored`, its (candidate, columns) pairs) of each, the best one first.
+        """
+        best, pairs = scored[0]
+        own = next(X for c, X in pairs if c is best.entry.candidate)
+        left = [y.copy() for y in self.y]
+        for j, x in own.items():
+            left[j] -= x @ best.coefficients
+        Ny = sum(N.T @ y for N, y in zip(self.N, left))
+        left = [y - N @ cho_solve(self.factor, Ny) for y, N in zip(left, self.N)]
+        ys = [np.column_stack([np.roll(y, int(s * len(y))) for s in shifts]) for y in left]
+        pulled = cho_solve(self.factor, sum(N.T @ y for N, y in zip(self.N, ys)))
+        greatest = 0.0
+        for _, pairs in scored:
+            total = None
+            for c, X in pairs:
+                G, NX = self._gram(X)
+                b = sum(x.T @ ys[j] for j, x in X.items()) - NX.T @ pulled
+                gain = log_gain(G, b, c.mean, c.deviation)[0]
+                total = gain if total is None else np.logaddexp(total, gain)
+            greatest = max(greatest, float(np.max(total - np.log(len(pairs)))))
+        return greatest
+
     def gram(self, candidate: Candidate) -> np.ndarray:
         """(p, p) X'PX of a candidate."""
         return self._gram(self.columns(candidate))[0]

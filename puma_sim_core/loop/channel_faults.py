@@ -21,8 +21,8 @@ from .result import Fault
 
 #: share of a voltage that is left over: below this nothing is asked; above that, with no way to
 #: put it right, the log is of another plant
-_ASKED, _ANOTHER = 0.15, 0.45
-#: floor of voltages for that, in those of a middling friction
+_ASKED, _ANOTHER = 0.18, 0.45
+#: floor of voltages for both, in those of a middling friction
 _ANOTHER_FLOOR = 4.0
 #: what is left over must shrink to this share of what it was, and to this share of the voltage
 _SHRINKS, _LEFT = 0.4, 0.2
@@ -109,7 +109,7 @@ def _best(model: Plausibility, c: Coarse) -> Way | None:
     """The way that puts the log right best, or None where nothing is wrong or none does."""
     fits = model.fits(c)
     before = model.shares(fits)
-    if before.max() < _ASKED:
+    if model.shares(fits, _ANOTHER_FLOOR).max() < _ASKED:
         return None
     worst = int(before.argmax())
     enough = min(_SHRINKS * before[worst], max(_LEFT, 0.1 * before[worst]))

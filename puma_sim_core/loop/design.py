@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..backend import BACKEND
 from ..effects import KINDS
 from ..effects.columns import EXACT_TIES
 from ..errors import ParameterError
@@ -25,6 +26,8 @@ from .separation import NOISE, Distance, Judge, Suspect, plant_with, play
 
 #: motions of a search, and of one whose columns take long
 MOTIONS, FEWER_MOTIONS = 150, 80
+#: what part of them is tried without the compiled kernel, which simulates ten times faster
+_UNCOMPILED = 0.2
 #: columns from which they take long
 _MANY_COLUMNS = 40
 #: share of the motions that are random, and how many of the best are gone on from
@@ -132,8 +135,9 @@ def _suspect(text: str, mechanism: Mechanism, joint: int | None) -> Suspect:
     return Suspect(kind, number - 1)
 
 
-def _reason(*names: str) -> str:
+def _reason(*labels: str) -> str:
     """What the library says on an exact tie of these."""
+    names = [label.partition("@")[0] for label in labels]
     found = [f"{one} and {other} are an exact tie: {why}" for one, other, why in EXACT_TIES
              if any(one.startswith(n) or other.startswith(n) for n in names)]
     return "; ".join(found) or "voltage and position are the same for both"
@@ -148,7 +152,8 @@ def design(mechanism: Mechanism, suspects: tuple[Suspect, ...], *, seconds: floa
     Parameters
     ----------
     seconds : length of the record; rate : rows a second; limits : of the mechanism by default;
-    motions : how many are tried, by default some 150. The same arguments give the same bits.
+    motions : how many are tried, by default some 150, fewer
+    without the compiled kernel. The same arguments give the same bits.
 
     Raises
     ------
@@ -164,7 +169,7 @@ def design(mechanism: Mechanism, suspects: tuple[Suspect, ...], *, seconds: floa
         range(mechanism.joints))
     first = [builder.plain(), *(builder.random(rng, wanted) for _ in range(_LOOKS))]
     one_way = _ties(judge, first)
-    count = motions or (FEWER_MOTIONS if judge.columns(first[0]) > _MANY_COLUMNS else MOTIONS)
+    count = motions or _count(judge, first[0])
 
     machines = _machines(judge, rng)
     coarse = COARSE_STEP * np.arange(int(seconds / COARSE_STEP) + 1)
@@ -203,8 +208,14 @@ def design(mechanism: Mechanism, suspects: tuple[Suspect, ...], *, seconds: floa
             expected=f"{ENOUGH:g} nat for a name: more time, voltage or range")
     return Design(time, np.round(voltages(mechanism, motion, time, judge.noise), 6),
                   motion.at(time)[0], motion.centre, nats,
-                  0.0 if plain is None else _score(judge.on_play(plain)), labels, one_way, motion,
-                  seed)
+                  0.0 if plain is None else max(_score(judge.on_play(plain)), 0.0), labels,
+                  one_way, motion, seed)
+
+
+def _count(judge: Judge, motion: Motion) -> int:
+    """Motions of a search that is not told how many."""
+    count = FEWER_MOTIONS if judge.columns(motion) > _MANY_COLUMNS else MOTIONS
+    return count if BACKEND == "numba" else int(_UNCOMPILED * count)
 
 
 def _check(seconds: float, rate: float) -> None:
@@ -224,25 +235,25 @@ def _score(distances: list[Distance] | None) -> float:
 def _ties(judge: Judge, motions: list[Motion]) -> str | None:
     """Drop directions in which nothing can be left: a special case of the other effect. Gives the
     label of the effect that can be told, where it is one of two; raises ParameterError for ties."""
-    looks = [judge.on_plan(motion) for motion in motions]
     labels = [s.label for s in judge.suspects]
     where = "--separate " + ",".join(labels)
+    alone = [(n, None) for n in range(len(labels))]
+    looks = [judge.on_plan(motion, alone + judge.directions) for motion in motions]
     for n, label in enumerate(labels):
-        if not any(judge.shown(n, motion) for motion in motions):
+        if not any(look[n].raw > 0.0 for look in looks):
             raise ParameterError(f"no motion shows {label} here", where=where,
                                  expected="an effect that this mechanism can show")
-    possible = []
-    for n, direction in enumerate(judge.directions):
-        seen = [look[n] for look in looks]
-        alone = direction[1] is None
-        if any(d.nats > _NOTHING and (alone or d.share > _NO_SHARE) for d in seen):
-            possible.append(direction)
+        if (max(look[n].raw for look in looks) > ENOUGH
+                and max(look[n].nats for look in looks) < _NOTHING):
+            raise ParameterError(
+                f"{label} is an exact tie with parameters of {judge.mechanism.name}", where=where,
+                expected=f"an effect that they cannot make up for ({_reason(label)})")
+    possible = [direction for n, direction in enumerate(judge.directions, start=len(labels))
+                if len(labels) == 1 or any(look[n].share > _NO_SHARE for look in looks)]
     if not possible:
-        names = [s.kind.name for s in judge.suspects]
-        what = (f"{labels[0]} is an exact tie with parameters of {judge.mechanism.name}"
-                if len(labels) == 1 else f"{labels[0]} and {labels[1]} are an exact tie")
-        raise ParameterError(what, where=where, expected=(
-            f"effects that differ in voltage and position ({_reason(*names)})"))
+        raise ParameterError(f"{labels[0]} and {labels[1]} are an exact tie", where=where,
+                             expected="effects that differ in voltage and position "
+                                      f"({_reason(*labels)})")
     one_way = labels[possible[0][0]] if len(possible) < len(judge.directions) else None
     judge.directions = possible
     return one_way

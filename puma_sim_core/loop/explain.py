@@ -126,7 +126,8 @@ class Analysis:
         self.progress("what is left", 0.87)
         causal = CausalScreen(fit, final.point, final.errors, final.jacobian, p)
         rng = np.random.default_rng(self.seed + 1)
-        shapes = shape.scores(causal, m.position_unit, np.sort(rng.uniform(0.06, 0.94, 16)))
+        shapes = shape.scores(self._uncoloured(final), np.sort(rng.uniform(0.06, 0.94, 16)),
+                              m.position_unit)
         self.progress("what could have been seen", 0.93)
         threshold = max(LEAST_GAIN, s.stages[-1].threshold)
         rows = []
@@ -153,6 +154,14 @@ class Analysis:
         return outcome.compose(self, errors, residuals, shapes, rows, bias, spread, model, notes,
                                begin, common)
 
+
+    def _uncoloured(self, final) -> CausalScreen:
+        """The final innovations with nothing taken for the colour of noise: a filter that made
+        them white would take a line, or what changes slowly, out of sight."""
+        raw = self.predictor.errors(self.mechanism.plant(final.point.theta, final.point.effects))
+        fit = PredictionFit(self.predictor, self.predictor.white_weighting(raw))
+        known = fit.white(fit.derivatives(final.point, final.names))
+        return CausalScreen(fit, final.point, fit.weighting(raw), known, self.problem)
 
     def _volts(self, plant) -> np.ndarray:
         """(N, J) voltages [V] that a plant lacks along the logs, at the rows of the observer."""

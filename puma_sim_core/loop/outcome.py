@@ -52,8 +52,8 @@ def compose(analysis, errors, residuals, shapes, detect, bias, spread, model, no
     curve = None
     if remainder is not None:
         ranking = tuple((_axis_name(scored, axis), float(scored.gain))
-                        for scored, _, axis in shapes[:8])
-        curve = describe(remainder[0], remainder[2], ranking)
+                        for scored, axis in shapes[0][:8])
+        curve = describe(remainder[0], remainder[1], ranking)
     m = analysis.mechanism
     ties = [(Hypothesis(e.name, e.joint), other) for e in names for other in e.tied_with]
     unseen = [d for d in detect if not d.excited]
@@ -103,7 +103,7 @@ def _named(analysis, spread) -> tuple[NamedEffect, ...]:
 def _asked(effect, name) -> bool:
     """Whether a parameter that is not fitted says something: not a default of the structure."""
     spec = next(p for p in effect.kind.parameters if p.name == name)
-    return spec.from_arm is None and name not in ("motor_share", "x", "y")
+    return spec.from_arm is None and name != "motor_share"
 
 
 def _because(named: str, trial, best) -> str:
@@ -116,9 +116,9 @@ def _because(named: str, trial, best) -> str:
 
 def _remainder(s, shapes):
     """The best free curve, where it is more than chance and more than inexactness."""
+    shapes, chance = shapes
     if not shapes:
         return None
-    chance = max((float(np.max(placebo)) for _, placebo, _ in shapes), default=0.0)
     first = next((st.accepted.gain for st in s.stages if st.accepted is not None), 0.0)
     best = shapes[0]
     need = max(_REMAINDER, _FACTOR * chance + _MARGIN, _REMAINDER_SHARE * first)

@@ -16,7 +16,7 @@ from .plausibility import Coarse, Plausibility
 
 #: what is left over counts in this share of the volts of a middling friction, with this share of
 #: the joint's own, and each so long [s] as one independent value
-_NOISE, _SHARE, _CORRELATED = 0.08, 0.01, 0.4
+_NOISE, _SHARE, _CORRELATED = 0.05, 0.007, 0.4
 #: widths: offset, dry friction and spring in volts of a middling friction, load friction, drag as a
 #: share of the speed's volts, load [kg] at a lever [m], tilt [rad]
 _OFFSET, _DRY, _SPRING, _LOADED, _DRAG, _LOAD, _LEVER, _TILT = (

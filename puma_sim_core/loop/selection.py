@@ -33,9 +33,9 @@ PLACEBO_FACTOR, PLACEBO_MARGIN, PLACEBOS = 1.2, 2.0, 24
 #: model of the first one is not exact in
 LEAST_SHARE = 0.015
 #: hypotheses of a short list, slow and fast, and their least gain in the screening
-_SLOW, _FAST, _LEAST_SCREENED = 6, 4, 2.0
+_SLOW, _FAST, _LEAST_SCREENED = 8, 4, 2.0
 #: gain [nat] that a kind must be better by than one that it contains, and than one it replaces
-PARSIMONY, SWAP = 4.0, 3.0
+PARSIMONY, SWAP = 5.0, 3.0
 #: a tie: gains closer than this [nat], or than this share of the better one
 TIE_NATS, TIE_SHARE = 8.0, 0.003
 #: share of its screened gain that a threshold's fit must reach, else all derivatives are taken anew
@@ -47,7 +47,8 @@ _STARTS = (0.7, 0.8, 0.87, 0.94, 1.0, 1.07, 1.15, 1.3)
 #: change [nat] of the rows kept back below which an effect does not act on them
 _UNTOUCHED = 1.5
 #: parameters that a screening gives and a fit leaves alone
-STRUCTURAL = frozenset({"motor_share", "order", "ratio", "x", "y"})
+STRUCTURAL = frozenset({"motor_share", "order", "ratio"})
+_STRUCTURAL_OF = {"payload": {"x", "y"}, "backlash": {"stiffness", "damping"}}
 #: how far outside its plausible sizes a parameter may come out
 _BEYOND = 4.0
 
@@ -139,7 +140,8 @@ class Selection:
         fit = PredictionFit(self.predictor, weighting)
         pairs = self.free(point, keys)
         known = fit.white(fit.derivatives(point, pairs))
-        final = fit.run(point, (), known=known, known_free=pairs)
+        # without any effect the retuned model is the final one
+        final = fit.run(point, (), known=known, known_free=pairs, rounds=4 if keys else 0)
         final = replace(final, jacobian=fit.white(fit.derivatives(final.point, pairs)))
         return Selected(retuned, final, keys, stages, weighting, prices)
 
@@ -207,11 +209,17 @@ class Selection:
         fitted = fit.run(point, free, known=known, known_free=known_free, rounds=5)
         if fitted is None:
             return None
-        if (start is None and scored.entry is not None and scored.entry.candidate.fixed
+        if (start is None and scored.entry is not None
+                and (scored.joint is None or scored.entry.candidate.fixed)
                 and base.objective - fitted.objective < _PROMISED * scored.gain):
-            # where a limit holds, the parameters act otherwise than the model without it says
-            again = fit.run(fitted.point, (*known_free, *free), rounds=3)
-            fitted = again or fitted
+            # where a limit holds, or a load has stretched all parameters, these act otherwise
+            # than the model without the effect says
+            starts = [fitted.point]
+            if scored.joint is None:
+                starts.append(Point(self.mechanism.start, point.effects))
+            again = [fit.run(at, (*known_free, *free), rounds=3) for at in starts]
+            fitted = min((f for f in (fitted, *again) if f is not None),
+                         key=lambda f: f.objective)
         gain = base.objective - fitted.objective - max(scored.price, 0.0)
         held = fit.held_sum(base.errors) - fit.held_sum(fitted.errors)
         if fit.held_sum(base.errors - fitted.errors) < _UNTOUCHED:
@@ -285,7 +293,8 @@ class Selection:
         what the effect takes from its machine."""
         taken = {p.name for p in effect.kind.parameters if p.from_arm is not None}
         keep = {"soft_stop": {"lower", "upper"}, "payload": set()}.get(effect.kind.name, set())
-        names = [name for name in values if name not in STRUCTURAL]
+        held = STRUCTURAL | _STRUCTURAL_OF.get(effect.kind.name, set())
+        names = [name for name in values if name not in held]
         names = [name for name in names if name not in taken or name in keep]
         if effect.kind.name == "soft_stop":
             names = [n for n in names if n == "stiffness" or self._stop_is_touched(effect, n)]

@@ -58,9 +58,14 @@ class Suspect:
 
 @dataclass(frozen=True)
 class Distance:
-    """What is left of one effect: nats, a usual one of its grid; share of its power at the most."""
+    """What is left of one effect, [nat] for a usual one of its grid.
+
+    nats : in the end; raw : before the parameters take what they can; share : greatest share that
+    the other effect leaves of what the parameters leave.
+    """
 
     nats: float
+    raw: float
     share: float
 
 
@@ -105,9 +110,9 @@ class Judge:
 
     # ------------------------------------------------------------------------------- scores
 
-    def on_plan(self, motion: Motion) -> list[Distance]:
-        """Distances of the directions along the motion as planned."""
-        return self._distances(self.planned(motion), self.directions)
+    def on_plan(self, motion: Motion, directions=None) -> list[Distance]:
+        """Distances of directions, by default all, along the motion as planned."""
+        return self._distances(self.planned(motion), directions or self.directions)
 
     def on_play(self, motion: Motion) -> list[Distance] | None:
         """Distances of the directions along what the machine does if the effect is there: friction
@@ -280,7 +285,7 @@ def _resting(signals: Signals) -> np.ndarray:
 def _distance(base: _Parameters, of, against) -> Distance:
     """What the motion leaves of an effect when another one takes what it can."""
     if not of:
-        return Distance(0.0, 1.0)
+        return Distance(0.0, 0.0, 0.0)
     widths = [X.shape[1] for _, X in of]
     stacked = [X for _, X in of] + ([] if against is None else [X for _, X in against])
     Z = np.concatenate(stacked, axis=1)
@@ -290,19 +295,24 @@ def _distance(base: _Parameters, of, against) -> Distance:
     for _, X in against or ():
         others.append(slice(at, at + X.shape[1]))
         at += X.shape[1]
-    nats, shares, at = [], [], 0
+    nats, powers, shares, at = [], [], [], 0
     for (candidate, _), p in zip(of, widths):
         own = slice(at, at + p)
         at += p
         # mean square of coefficients of a usual effect
         M = np.outer(candidate.mean, candidate.mean) + np.diag(candidate.deviation ** 2)
-        left = float((G[own, own] * M).sum())
-        power = left if against is not None else float(raw[own] @ np.diag(M))
+        left = free = float((G[own, own] * M).sum())
         for other in others:
             inner = G[other, other]
             inner = inner + np.diag(1e-9 * (np.diag(inner) + raw[other]) + 1e-300)
             cross = np.linalg.solve(inner, G[other, own])
             left = min(left, float(((G[own, own] - G[own, other] @ cross) * M).sum()))
         nats.append(0.5 * max(left, 0.0))
-        shares.append(max(left, 0.0) / max(power, 1e-300))
-    return Distance(float(np.expm1(np.mean(np.log1p(nats)))), max(shares))
+        powers.append(0.5 * float(raw[own] @ np.diag(M)))
+        shares.append(max(left, 0.0) / max(free, 1e-300))
+    return Distance(_usual(nats), _usual(powers), max(shares))
+
+
+def _usual(nats: list[float]) -> float:
+    """A usual one of gains over a grid that may span decades."""
+    return float(np.expm1(np.mean(np.log1p(nats))))

@@ -85,15 +85,15 @@ def hats(values: np.ndarray, knots: np.ndarray) -> np.ndarray:
     return np.column_stack([np.interp(values, knots, column) for column in eye])
 
 
-def scores(causal, position_unit: str = "rad", shifts=None) -> list:
-    """(`Scored`, its axis or None for a line, gains of placebos or None) of all joints, best
-    first."""
+def scores(causal, shifts, position_unit: str = "rad") -> tuple[list, float]:
+    """(`Scored`, its axis or None for a line) of all curves of all joints, best first, and the
+    greatest gain that chance gives any of them."""
     signals, found = causal.signals, []
 
     def add(name, joint, pairs, axis):
-        got = causal.score_columns(name, joint, pairs, shifts)
-        if got is not None:
-            found.append((*got, axis) if shifts is not None else (got, None, axis))
+        scored = causal.score_columns(name, joint, pairs)
+        if scored is not None:
+            found.append((scored, axis, pairs))
 
     for j in range(signals.joints):
         height = _HEIGHT * float(signals.volts_per_torque[j] * signals.torque_scale[j])
@@ -110,7 +110,10 @@ def scores(causal, position_unit: str = "rad", shifts=None) -> list:
         add("line", j + 1, _time_lines(causal, j, height), None)
         if signals.gear[j] > 1.0:
             add("motor_angle", j + 1, _angle_lines(causal, j, height), None)
-    return sorted(found, key=lambda row: -row[0].gain)
+    found.sort(key=lambda row: -row[0].gain)
+    chance = causal.chance([(scored, pairs) for scored, _, pairs in found], shifts) \
+        if found else 0.0
+    return [(scored, axis) for scored, axis, _ in found], chance
 
 
 def _free(coefficients):
