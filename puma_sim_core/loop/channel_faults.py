@@ -35,7 +35,10 @@ _ALIKE = 0.4
 _ALIKE_SHARE = 0.04
 #: costs (see `prior_fit`): from which on a log is asked for scales near 1 and offsets; what a way
 #: must gain, the share of the cost that may stay, and the cost itself
-_FAR, _GAIN, _NEARER, _NEAR = 15.0, 15.0, 0.5, 150.0
+_FAR, _GAIN, _NEARER, _NEAR = 12.0, 9.0, 0.5, 150.0
+#: a joint that is judged by them moves in this share of the rows, with speeds that take so many
+#: times the volts of a middling friction
+_MOVING_ROWS, _MOVING = 0.15, 2.0
 #: costs of offsets, which loads and tilt resemble, count so many times
 _SURER = 1.5
 #: rows that are enough for it
@@ -198,8 +201,10 @@ def _moderate(model: Plausibility, c: Coarse) -> Fault | None:
     left = model.shares(model.fits(c), _ANOTHER_FLOOR)
     for j in range(c.joints):
         one = np.arange(c.joints) == j
-        if not counted[j].any():
-            continue
+        volts = model.speed[j] * c.velocity[counted[j], j]
+        if len(volts) < _MOVING_ROWS * len(c.velocity) or (
+                np.sqrt(np.mean(volts ** 2)) < _MOVING * model.unit[j]):
+            continue            # what hardly moves tells of friction alone
         for size in (*_SCALES, *(_FAR_SCALES if left[j] > _FAR_ASKED else ())):
             change = {"scale": np.where(one, 1.0 / size, 1.0)}
             tried.append((near.costs(c.changed(**change), counted)[0], Fault(

@@ -22,7 +22,7 @@ from ..errors import ParameterError
 from ..mechanisms import Mechanism
 from ..simulator import SERVO_PERIOD
 from .excitation import Builder, Limits, Motion, voltages
-from .separation import NOISE, Distance, Judge, Suspect, plant_with, play
+from .separation import NOISE, NUMBERS, Distance, Judge, Suspect, plant_with, play
 
 #: motions of a search, and of one whose columns take long
 MOTIONS, FEWER_MOTIONS = 150, 80
@@ -53,7 +53,7 @@ class Design:
 
     nats : expected gain of log evidence of the effect that is there; plain : that of one slow
     sine a joint; suspects : labels of what it is for; one_way : the only one that can be told from
-    the other, where the other is a special case of it; seconds, seed.
+    the other, where the other is a special case of it; motion : the planned one; seed.
     """
 
     time: np.ndarray
@@ -70,7 +70,7 @@ class Design:
     @property
     def noises(self) -> float:
         """Voltage over the whole record that no parameter nor other effect makes, over noise."""
-        return float(np.sqrt(2.0 * self.nats / (50.0 * self.motion.seconds)))
+        return float(np.sqrt(2.0 * self.nats / (NUMBERS * self.motion.seconds)))
 
     @property
     def sentence(self) -> str:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -76,6 +76,8 @@ def explain(logs: str | Log | Sequence, *, held_out: Sequence = (), plant: str =
         return Explanation(DATA_FAULT, outcome.fault_sentence(faults), faults=tuple(faults),
                            notes=tuple(notes), seconds=clock.perf_counter() - begin, **common)
     analysis = Analysis.of(fitted, kept, mechanism, seed, progress)
+    analysis.source = {"plant": str(plant), "parameters": parameters,
+                       "model": None if model is None else str(model)}
     return analysis.explanation(tuple(notes), begin, common)
 
 
@@ -98,6 +100,7 @@ class Analysis:
     volts: np.ndarray
     seed: int
     progress: Callable
+    source: dict = field(default_factory=dict)
 
     @classmethod
     def of(cls, fitted, kept, mechanism, seed, progress) -> Analysis:

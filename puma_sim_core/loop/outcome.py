@@ -56,10 +56,12 @@ def compose(analysis, errors, residuals, shapes, detect, bias, spread, model, no
         curve = describe(remainder[0], remainder[1], ranking)
     m = analysis.mechanism
     ties = [(Hypothesis(e.name, e.joint), other) for e in names for other in e.tied_with]
-    unseen = [d for d in detect if not d.excited]
+    found = {(e.name, e.joint) for e in names}
+    unseen = [d for d in detect if not d.excited and (d.name, d.joint) not in found]
     return Explanation(
         verdict, _sentence(verdict, names, curve, errors, m), names, errors, curve, (),
-        tuple(detect), next_experiment(m, ties, unseen, common["logs"][0]), bias,
+        tuple(detect), next_experiment(m, ties, unseen, common["logs"][0], **analysis.source),
+        bias,
         _ranking(s, names), (*notes, *_exact_ties(names)), _drawn(analysis, residuals), model,
         parameters=_parameters(m, s), seconds=clock.perf_counter() - begin, **common)
 

@@ -294,10 +294,12 @@ def frozen_positions(log, model: Plausibility, c: Coarse) -> list[Fault]:
                 continue
             push = beyond[inside]
             if low < high:      # a stop, or friction with the weight, at an end of the travel
+                steady = np.ptp(c.voltage[inside, j]) < 2.0 * model.unit[j]
+                beyond_end = np.inf if steady else _AT_AN_END * held
                 if q[first] >= high - 0.02 * (high - low):
-                    push = np.minimum(push, np.maximum(push - _AT_AN_END * held, 0.0))
+                    push = np.minimum(push, np.maximum(push - beyond_end, 0.0))
                 if q[first] <= low + 0.02 * (high - low):
-                    push = np.maximum(push, np.minimum(push + _AT_AN_END * held, 0.0))
+                    push = np.maximum(push, np.minimum(push + beyond_end, 0.0))
             travel = float(np.abs(push).sum()) * c.step / max(model.speed[j], 1e-12)
             width = float(np.ptp(model.mechanism.ranges[j]))
             if travel > max(_FROZEN_TRAVEL * width, 20.0 * log.quantum[j]):

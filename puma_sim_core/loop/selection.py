@@ -38,6 +38,8 @@ _SLOW, _FAST, _LEAST_SCREENED = 8, 4, 2.0
 PARSIMONY, SWAP = 5.0, 3.0
 #: a tie: gains closer than this [nat], or than this share of the better one
 TIE_NATS, TIE_SHARE = 8.0, 0.003
+#: most times that the final model's derivatives are taken anew
+_REFITS = 4
 #: share of its screened gain that a threshold's fit must reach, else all derivatives are taken anew
 _PROMISED = 0.7
 #: least share of the best gain of what is named in place of the best
@@ -142,6 +144,12 @@ class Selection:
         known = fit.white(fit.derivatives(point, pairs))
         # without any effect the retuned model is the final one
         final = fit.run(point, (), known=known, known_free=pairs, rounds=4 if keys else 0)
+        for _ in range(_REFITS if keys else 0):
+            before = final.objective
+            known = fit.white(fit.derivatives(final.point, pairs))
+            final = fit.run(final.point, (), known=known, known_free=pairs, rounds=4)
+            if before - final.objective < 0.5:
+                break
         final = replace(final, jacobian=fit.white(fit.derivatives(final.point, pairs)))
         return Selected(retuned, final, keys, stages, weighting, prices)
 

@@ -30,6 +30,8 @@ from .excitation import Builder, Limits, Motion, signals_of, voltages
 NOISE = 0.05
 #: cutoffs of the filters [Hz], as in `sampling`
 _FIRST, _SECOND = 60.0, 25.0
+#: independent numbers a second in that band
+NUMBERS = 2.0 * _SECOND
 #: step of columns [s]; a finer one for waves of the motor's angle, which would fold down to low
 #: frequencies, and for shifts in time. Parameters' derivatives, which are smooth, are taken at a
 #: coarse one; rows are kept at a coarser one yet
@@ -81,7 +83,7 @@ class Judge:
         self.shaken = any(s.kind.acts in (SENSING, TRANSMISSION) for s in suspects)
         self.noise = velocity_noise(self.mechanism)
         self.step = _FINE if any(s.kind.name in _NEED_FINE for s in suspects) else _STEP
-        #: directions (of, against) that count: all, until `find_ties` says otherwise
+        #: directions (of, against) that count; `design` drops those of special cases
         self.directions = [(0, None)] if len(suspects) == 1 else [(0, 1), (1, 0)]
 
     def planned(self, motion: Motion) -> Signals:
@@ -233,7 +235,7 @@ class _Parameters:
         """(m, J, p) as (m J, p) in units of the noise, 0 where a joint rests."""
         values = values * (self.moving[:, :, None] / NOISE)
         # the noise is that of a band; a kept row stands for the time to the next
-        weight = np.sqrt(2.0 * _SECOND * _KEPT)
+        weight = np.sqrt(NUMBERS * _KEPT)
         return weight * values.reshape(-1, values.shape[2])
 
     def reduced(self, candidates: list[Candidate]) -> list[np.ndarray]:
