@@ -154,6 +154,7 @@ def test_a_blow_keeps_its_momentum_however_long_the_steps(step):
     assert momentum == pytest.approx(90 * 0.011 / 2, rel=1e-12)
 
 
+@settings(deadline=None)
 @given(t=st.floats(-1, 1), step=st.floats(1e-6, 0.5), width=st.floats(1e-3, 2.0))
 def test_the_mean_of_a_pulse_is_its_integral(t, step, width):
     mean = interpreted(pulse_torque)((3.0, 0.1, width), 0, t, step)

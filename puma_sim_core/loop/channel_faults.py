@@ -36,6 +36,8 @@ _ALIKE_SHARE = 0.04
 #: costs (see `prior_fit`): from which on a log is asked for scales near 1 and offsets; what a way
 #: must gain, the share of the cost that may stay, and the cost itself
 _FAR, _GAIN, _NEARER, _NEAR = 12.0, 9.0, 0.5, 150.0
+#: the share of the cost that may stay for the slow motion
+_HOLDS = 0.8
 #: a joint that is judged by them moves in this share of the rows, with speeds that take so many
 #: times the volts of a middling friction
 _MOVING_ROWS, _MOVING = 0.15, 2.0
@@ -50,6 +52,8 @@ _SCALES = (0.33, 0.4, 0.5, 0.57, 0.65, 0.7, 1.4, 1.5, 1.7, 2.0, 2.4, 3.0)
 _FAR_SCALES, _FAR_ASKED = (0.2, 0.25, 4.0, 5.0), 0.3
 _OFFSETS = tuple(sign * size for size in (0.15, 0.2, 0.3, 0.4, 0.55, 0.8, 1.1, np.pi / 2.0, np.pi)
                  for sign in (1.0, -1.0))
+#: voltages that can be millivolts or counts, and kilovolts, in those of a middling friction
+_GREAT, _SMALL = 60.0, 1.0
 #: factors of units: what the numbers are in, and by what they must be multiplied
 _POSITION_UNITS = (("degrees, not radians", np.pi / 180.0),
                    ("thousandths of the unit", 1e-3), ("a unit a thousand times as large", 1e3),
@@ -83,10 +87,17 @@ def channel_faults(model: Plausibility, c: Coarse) -> list[Fault]:
     return []
 
 
-def moderate_faults(model: Plausibility, c: Coarse) -> list[Fault]:
-    """A scale or an offset of one position that no parameter makes."""
-    fault = _moderate(model, c)
-    return [fault] if fault else []
+def moderate_faults(model: Plausibility, c: Coarse, slow: Coarse) -> list[Fault]:
+    """A scale or an offset of one position that no parameter makes, and that holds for the `slow`
+    motion alone too, where lags have no say."""
+    found = _nearer(model, c)
+    if not found:
+        return []
+    change, fault = found
+    near = PriorFit(model)
+    counted = [model.moving(slow, j) for j in range(slow.joints)]
+    before, after = (near.costs(other, counted)[0] for other in (slow, slow.changed(**change)))
+    return [fault] if after < _HOLDS * before else []
 
 
 def unexplained(model: Plausibility, c: Coarse) -> list[Fault]:
@@ -177,6 +188,9 @@ def _ways(model: Plausibility, c: Coarse):
     for sort, (what, factor) in enumerate(_VOLTAGE_UNITS):
         for group in _groups(J):
             volts = np.array([factor if j in group else 1.0 for j in range(J)])
+            size = [float(np.abs(c.voltage[:, j]).max()) / model.unit[j] for j in group]
+            if (factor < 1.0 and min(size) < _GREAT) or (factor > 1.0 and max(size) > _SMALL):
+                continue
             yield Way(whole("voltage", group, f"its numbers are {what}; expected V"),
                       {"volts": volts}, 3.0 + sort + 0.1 * len(group))
     for what, factor in (("milliseconds", 1e-3), ("minutes", 60.0)):
@@ -190,30 +204,35 @@ def _groups(J: int):
         yield from combinations(range(J), size)
 
 
-def _moderate(model: Plausibility, c: Coarse) -> Fault | None:
-    """A scale or an offset of one position that no parameter makes."""
+def _nearer(model: Plausibility, c: Coarse) -> tuple[dict, Fault] | None:
+    """The change of one position that brings the log nearest to the priors, if by enough."""
     near, c = PriorFit(model), c.thinned(_ROWS)
     counted = [model.moving(c, j) for j in range(c.joints)]
     before, _ = near.costs(c, counted)
     if before < _FAR:
         return None
-    unit, tried = model.mechanism.position_unit, []
     left = model.shares(model.fits(c), _ANOTHER_FLOOR)
+    least, best = min(before - _GAIN, _NEARER * before, _NEAR), None
     for j in range(c.joints):
-        one = np.arange(c.joints) == j
         volts = model.speed[j] * c.velocity[counted[j], j]
         if len(volts) < _MOVING_ROWS * len(c.velocity) or (
                 np.sqrt(np.mean(volts ** 2)) < _MOVING * model.unit[j]):
             continue            # what hardly moves tells of friction alone
-        for size in (*_SCALES, *(_FAR_SCALES if left[j] > _FAR_ASKED else ())):
-            change = {"scale": np.where(one, 1.0 / size, 1.0)}
-            tried.append((near.costs(c.changed(**change), counted)[0], Fault(
-                f"position{j + 1}", None, f"its scale is wrong by a factor of about {size:.2g}; "
-                f"expected {unit} at the joint (is the gear ratio right?)")))
-        for size in _OFFSETS if unit == "rad" else ():
-            change = {"offset": np.where(one, -size, 0.0)}
-            tried.append((_SURER * near.costs(c.changed(**change), counted)[0], Fault(
-                f"position{j + 1}", None, f"it is offset by about {size:.2g} rad, as its weight "
-                "shows; expected an encoder offset of a few hundredths at most")))
-    after, fault = min(tried, key=lambda entry: entry[0], default=(before, None))
-    return fault if before - after > _GAIN and after < min(_NEARER * before, _NEAR) else None
+        for change, dearer, what in _changes(model, j, left[j]):
+            cost = dearer * near.costs(c.changed(**change), counted)[0]
+            if cost < least:
+                least, best = cost, (change, Fault(f"position{j + 1}", None, what))
+    return best
+
+
+def _changes(model: Plausibility, j: int, left: float):
+    """(change, factor of its cost, what it says) of scales and offsets of a position."""
+    unit, one = model.mechanism.position_unit, np.arange(model.mechanism.joints) == j
+    for size in (*_SCALES, *(_FAR_SCALES if left > _FAR_ASKED else ())):
+        yield {"scale": np.where(one, 1.0 / size, 1.0)}, 1.0, (
+            f"its scale is wrong by a factor of about {size:.2g}; expected {unit} at the joint (is "
+            "the gear ratio right?)")
+    for size in _OFFSETS if unit == "rad" else ():
+        yield {"offset": np.where(one, -size, 0.0)}, _SURER, (
+            f"it is offset by about {size:.2g} rad, as its weight shows; expected an encoder "
+            "offset of a few hundredths at most")

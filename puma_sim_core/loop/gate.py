@@ -25,6 +25,8 @@ LEAST_ROWS, LEAST_TIME = 100, 1.0
 _REST_STEPS, _REST_SHARE = 2.5, 1e-5
 #: positions may be outside their ranges by this share of them
 _OUTSIDE = 0.25
+#: scales and offsets must hold for the motion below this frequency [Hz] alone
+_SLOW = 2.0
 
 
 def check(log: Log, mechanism) -> tuple[list[Fault], list[str]]:
@@ -53,7 +55,8 @@ def check(log: Log, mechanism) -> tuple[list[Fault], list[str]]:
                                 "expected a motion, which alone tells anything")
                           for j in range(log.joints)], notes
     faults = (jitter_faults(log) or channel_faults(model, c) or position_faults(log, model)
-              or frozen_voltages(log, model, c) or moderate_faults(model, c)
+              or frozen_voltages(log, model, c)
+              or moderate_faults(model, c, coarse(log, _SLOW) or c)
               or frozen_positions(log, model, c) or unexplained(model, c)
               or voltage_spikes(log, model) or _outside(log, mechanism))
     notes += [f"Joint {j + 1} does not move: nothing can be said of it alone."

@@ -75,12 +75,12 @@ class Coarse:
                           ("voltage", "position", "velocity", "acceleration", "enable")})
 
 
-def coarse(log) -> Coarse | None:
-    """The slow part of a log; None where it is too short or too uneven for one. Its numbers must
-    be finite and its times increase."""
+def coarse(log, cutoff: float = _CUTOFF) -> Coarse | None:
+    """The part of a log below `cutoff` [Hz]; None where it is too short or too uneven for one. Its
+    numbers must be finite and its times increase."""
     step = float(np.median(np.diff(log.time)))
     length = float(log.time[-1] - log.time[0])
-    cutoff = min(_CUTOFF, 0.2 / step)
+    cutoff = min(cutoff, 0.2 / step)
     n = int(length / step) + 1
     if length < 4.0 * filters.edge(cutoff) or n > 4 * len(log):
         return None
