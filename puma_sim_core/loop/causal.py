@@ -41,14 +41,14 @@ class CausalScreen:
         self.errors = errors
         rows = fit.rows
         self.J = errors.shape[1]
-        self.lengths = [len(s.time) - 1 for s in self.predictor.stretches]
+        self.lengths = self.predictor.lengths
         self.usable = [self._mean(rows[:, j].astype(float)[:, None])[:, 0] > 0.999
                        for j in range(self.J)]
         self.y = [self._blocks(errors[:, j:j + 1], j)[:, 0] for j in range(self.J)]
         p = jacobian.shape[1]
-        full = np.zeros((*errors.shape, p))
-        full[rows] = jacobian
-        self.N = [self._blocks(full[:, j], j) for j in range(self.J)]
+        self.jacobian = np.zeros((*errors.shape, p))
+        self.jacobian[rows] = jacobian
+        self.N = [self._blocks(self.jacobian[:, j], j) for j in range(self.J)]
         prior = np.full(p, 1e-4)
         prior[:len(fit.mechanism.start)] = 1.0
         A = np.diag(prior) + sum(N.T @ N for N in self.N)
@@ -97,7 +97,22 @@ class CausalScreen:
             np.concatenate(volts), np.concatenate(enable), q, qd, np.concatenate(qdd)))
 
     def columns(self, candidate: Candidate) -> dict[int, np.ndarray]:
-        """Joint -> (b, p) white innovations that unit coefficients would make."""
+        """Joint -> (b, p) white innovations that unit coefficients would make, in blocks."""
+        return {j: self._blocks(full, j) for j, full in self._white(candidate).items()}
+
+    def less(self, candidate: Candidate, coefficients: np.ndarray) -> np.ndarray:
+        """(N, J) white innovations at the rows to fit, 0 elsewhere, less what a hypothesis
+        explains, the parameters having answered to it."""
+        made = self._white(candidate)
+        answer = cho_solve(self.factor, sum(self.N[j].T @ (self._blocks(x, j) @ coefficients)
+                                            for j, x in made.items()))
+        left = self.errors + self.jacobian @ answer
+        for j, x in made.items():
+            left[:, j] -= x @ coefficients
+        return np.where(self.fit.rows, left, 0.0)
+
+    def _white(self, candidate: Candidate) -> dict[int, np.ndarray]:
+        """Joint -> (N, p) white innovations that unit coefficients would make."""
         p = len(candidate.mean)
         joints = sorted({j for column in candidate.columns for j in column})
         s, w = self.signals, self.fit.weighting
@@ -118,7 +133,7 @@ class CausalScreen:
                 rows = slice(start, start + n)
                 full[rows] = fftconvolve(full[rows], response[:, None], axes=0)[:n]
                 start += n
-            out[j] = self._blocks(full, j)
+            out[j] = full
         return out
 
     def score(self, name: str, joint: int | None, candidates, shifts=None):

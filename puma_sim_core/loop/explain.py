@@ -14,7 +14,7 @@ from .. import __version__
 from ..effects import KINDS
 from ..errors import NonFiniteStateError, RecordingError
 from ..mechanisms import load_mechanism
-from . import feedback, intervals, outcome, shape
+from . import colour, feedback, intervals, outcome, shape
 from .causal import CausalScreen
 from .detect import detectable
 from .gate import check
@@ -30,6 +30,12 @@ from .validate import Validation
 #: least and greatest noise of a row's voltage that the observer reckons with, in volts of a
 #: middling friction torque
 _LEAST_NOISE, _GREATEST_NOISE = 0.02, 0.5
+#: noises that shapes are judged in, each from what the best shape in the one before leaves
+_NOISE_ROUNDS = 3
+#: what the position error held out may grow by with an effect that does not act there
+_UNTRIED_ROOM = 1.03
+#: placebos of the shapes
+_SHIFTS = 24
 
 
 def explain(logs: str | Log | Sequence, *, held_out: Sequence = (), plant: str = "puma560",
@@ -97,6 +103,7 @@ class Analysis:
     search: Search
     predictor: Predictor
     selected: object
+    validation: Validation
     volts: np.ndarray
     seed: int
     progress: Callable
@@ -104,7 +111,7 @@ class Analysis:
 
     @classmethod
     def of(cls, fitted, kept, mechanism, seed, progress) -> Analysis:
-        """Steps 1 to 6."""
+        """Steps 1 to 6, and the retraction of step 7."""
         logs = [*fitted, *kept]
         sampled = sample(logs)
         segments = range(len(fitted), len(logs))
@@ -118,8 +125,13 @@ class Analysis:
         volts = _row_noise(search, retuned)
         predictor = Predictor(logs, mechanism, [_held(problem, n) for n in range(len(logs))],
                               volts, sampled.position_noise)
-        selected = Selection(search, predictor, library, seed, progress).run(retuned.theta, bank)
-        return cls(logs, mechanism, problem, search, predictor, selected, volts, seed, progress)
+        selection = Selection(search, predictor, library, seed, progress)
+        selected = selection.run(retuned.theta, bank)
+        progress("validating", 0.86)
+        validation = Validation(problem, logs, seed)
+        selected = _confirmed(selection, selected, validation, mechanism)
+        return cls(logs, mechanism, problem, search, predictor, selected, validation, volts, seed,
+                   progress)
 
     def explanation(self, notes, begin, common) -> Explanation:
         """Steps 7 to 11."""
@@ -128,9 +140,7 @@ class Analysis:
         final = s.final
         self.progress("what is left", 0.87)
         causal = CausalScreen(fit, final.point, final.errors, final.jacobian, p)
-        rng = np.random.default_rng(self.seed + 1)
-        shapes = shape.scores(self._uncoloured(final), np.sort(rng.uniform(0.06, 0.94, 16)),
-                              m.position_unit)
+        shapes, chance = self._shapes(final)
         self.progress("what could have been seen", 0.93)
         threshold = max(LEAST_GAIN, s.stages[-1].threshold)
         rows = []
@@ -139,32 +149,44 @@ class Analysis:
                 pairs = [(c, causal.gram(c)) for c in kind.screening.candidates(causal.signals, j)]
                 rows.append(detectable(name, None if j is None else j + 1, kind, pairs,
                                        threshold))
-        self.progress("validating", 0.96)
+        self.progress("errors", 0.96)
         points = {"nominal": Point(m.start, ()), "retuned": s.retuned.point,
                   "augmented": final.point}
         plants = {name: m.plant(point.theta, point.effects) for name, point in points.items()}
         residuals = {name: self._volts(plant) for name, plant in plants.items()}
         model = plants["augmented"]
-        validation = Validation(p, self.logs, self.seed)
         # the observer was made before it was known what is noise and what an effect
         raw = np.where(self.predictor.fit_rows, self.predictor.errors(model), np.nan)
         less = np.minimum(1.0, np.nanstd(raw, axis=0) / np.array(self.predictor.spread))
         floor = less * self.predictor.floor_in_volts(p.sampled.cutoffs[1])
-        errors = validation.errors(plants, residuals, self.predictor, less * self.volts, floor)
+        errors = self.validation.errors(plants, residuals, self.predictor, less * self.volts, floor)
         linear = p.linear(final.point.theta, final.point.effects)
         bias = feedback.test(p, self.search.settle(linear, ()))
         spread = intervals.intervals(fit, final)
-        return outcome.compose(self, errors, residuals, shapes, rows, bias, spread, model, notes,
+        return outcome.compose(self, errors, residuals, shapes, chance, rows, bias, spread, model, notes,
                                begin, common)
 
 
-    def _uncoloured(self, final) -> CausalScreen:
-        """The final innovations with nothing taken for the colour of noise: a filter that made
-        them white would take a line, or what changes slowly, out of sight."""
-        raw = self.predictor.errors(self.mechanism.plant(final.point.theta, final.point.effects))
-        fit = PredictionFit(self.predictor, self.predictor.white_weighting(raw))
-        known = fit.white(fit.derivatives(final.point, final.names))
-        return CausalScreen(fit, final.point, fit.weighting(raw), known, self.problem)
+    def _shapes(self, final) -> tuple[list, float]:
+        """Free curves against what is left, in the noise that the best of them leaves; the greatest
+        gain that chance gives any of them (step 10)."""
+        predictor, unit = self.predictor, self.mechanism.position_unit
+        raw = predictor.errors(self.mechanism.plant(final.point.theta, final.point.effects))
+        plain = PredictionFit(predictor, predictor.white_weighting(raw))
+        derivatives = plain.derivatives(final.point, final.names)
+        # the first noise is the least that the innovations allow: one fitted to all that is left
+        # would take what is missing for noise
+        fit, found, causal = plain, [], None
+        for _ in range(_NOISE_ROUNDS):
+            if causal is not None:
+                left = shape.without_best(causal, found)
+                fit = PredictionFit(predictor, colour.weighting(predictor, left, fit.weighting))
+            causal = CausalScreen(fit, final.point, fit.weighting(raw), fit.white(derivatives),
+                                  self.problem)
+            found = shape.curves(causal, unit)
+        rng = np.random.default_rng(self.seed + 1)
+        shifts = np.sort(rng.uniform(0.06, 0.94, _SHIFTS))
+        return found, shape.chance(causal, found, shifts)
 
     def _volts(self, plant) -> np.ndarray:
         """(N, J) voltages [V] that a plant lacks along the logs, at the rows of the observer."""
@@ -173,6 +195,25 @@ class Analysis:
         except NonFiniteStateError:
             errors = np.full(self.predictor.fit_rows.shape, np.nan)
         return self.predictor.in_volts(errors, self.problem.sampled.cutoffs[1])
+
+
+def _confirmed(selection: Selection, selected, validation: Validation, mechanism):
+    """The selection without the effects, weakest first, that leave the position error held out no
+    lower than retuning alone (step 7); a blow that fell elsewhere need not lower it."""
+    def held_out(fitted) -> float:
+        plant = mechanism.plant(fitted.point.theta, fitted.point.effects)
+        return float(np.sqrt((validation.position_rms(plant, "held_out") ** 2).mean()))
+
+    limit = held_out(selected.retuned)
+    # without rows held out there is nothing to be seen, and NaN compares with nothing
+    while selected.keys:
+        weakest = min(selected.keys, key=selected.gain_of)
+        entry = selected.entry(weakest)
+        room = _UNTRIED_ROOM if entry is not None and entry.untried else 1.0
+        if not held_out(selected.final) >= room * limit:
+            break
+        selected = selection.without(selected, weakest)
+    return selected
 
 
 def _held(problem: Problem, number: int):

@@ -13,11 +13,11 @@ from ..effects.columns import EXACT_TIES
 from .next_experiment import next_experiment
 from .result import (NAMED, NAMED_WITH_REMAINDER, NOTHING_MISSING, UNNAMED, Drawn, Explanation,
                      Fault, Hypothesis, Interval, NamedEffect, Ranked, RuledOut)
-from .selection import tied
+from .trials import tied
 from .shape import describe
 
 #: least gain [nat] of a remainder, and its least share of the gain of the first effect
-_REMAINDER, _REMAINDER_SHARE = 12.0, 0.03
+_REMAINDER, _REMAINDER_SHARE = 20.0, 0.01
 #: what a remainder's gain must exceed the placebos' greatest by
 _FACTOR, _MARGIN = 1.3, 3.0
 #: a remainder that is this share of what the effects explain leaves no name standing
@@ -34,26 +34,25 @@ def fault_sentence(faults: list[Fault]) -> str:
     return f"The data cannot be used: {first.channel}{row}: {first.what}{more}."
 
 
-def compose(analysis, errors, residuals, shapes, detect, bias, spread, model, notes, begin,
+def compose(analysis, errors, residuals, shapes, chance, detect, bias, spread, model, notes, begin,
             common) -> Explanation:
     """The explanation from all stages."""
     s = analysis.selected
     names = _named(analysis, spread)
-    remainder = _remainder(s, shapes)
-    explained = sum(stage.accepted.gain for stage in s.stages if stage.accepted is not None)
+    remainder = _remainder(s, shapes, chance)
+    explained = sum(s.gain_of(key) for key in s.keys)
     if not names:
         verdict = UNNAMED if remainder is not None else NOTHING_MISSING
     elif remainder is None:
         verdict = NAMED
-    elif remainder[0].gain > _OVERWHELMING * explained:
+    elif remainder.scored.gain > _OVERWHELMING * explained:
         verdict, names = UNNAMED, ()
     else:
         verdict = NAMED_WITH_REMAINDER
     curve = None
     if remainder is not None:
-        ranking = tuple((_axis_name(scored, axis), float(scored.gain))
-                        for scored, axis in shapes[0][:8])
-        curve = describe(remainder[0], remainder[1], ranking)
+        ranking = tuple((_axis_name(c), float(c.scored.gain)) for c in shapes[:8])
+        curve = describe(remainder, ranking)
     m = analysis.mechanism
     ties = [(Hypothesis(e.name, e.joint), other) for e in names for other in e.tied_with]
     found = {(e.name, e.joint) for e in names}
@@ -110,26 +109,24 @@ def _asked(effect, name) -> bool:
 
 def _because(named: str, trial, best) -> str:
     if trial.problem is not None:
-        return f"it would need an impossible value: {trial.problem}"
+        return trial.problem
     text = dict(KINDS[named].screening.look_alikes).get(trial.name)
     lower = f"its evidence is lower by {best.gain - trial.gain:.0f} nat"
     return f"{lower}: {text}" if text else lower
 
 
-def _remainder(s, shapes):
+def _remainder(s, shapes, chance):
     """The best free curve, where it is more than chance and more than inexactness."""
-    shapes, chance = shapes
     if not shapes:
         return None
-    first = next((st.accepted.gain for st in s.stages if st.accepted is not None), 0.0)
-    best = shapes[0]
+    first = max((s.gain_of(key) for key in s.keys), default=0.0)
     need = max(_REMAINDER, _FACTOR * chance + _MARGIN, _REMAINDER_SHARE * first)
-    return best if best[0].gain > need else None
+    return shapes[0] if shapes[0].scored.gain > need else None
 
 
-def _axis_name(scored, axis) -> str:
-    return f"{scored.name} (joint {scored.joint})" + (" with the sign of the velocity"
-                                                      if axis is not None and axis.signed else "")
+def _axis_name(curve) -> str:
+    way = curve.axis.way if curve.axis is not None else ""
+    return f"{curve.scored.name} (joint {curve.scored.joint}) {way}".rstrip()
 
 
 def _sentence(verdict, names, curve, errors, mechanism) -> str:
@@ -165,22 +162,30 @@ def _ranking(s, names) -> tuple[Ranked, ...]:
     chosen = {(e.name, e.joint): e for e in names}
     rows = {}
     for stage in s.stages[:1]:
-        best = stage.accepted or (stage.trials[0] if stage.trials else None)
         for t in stage.trials:
-            if t.key in chosen:
-                verdict = "named"
-            elif t.problem is not None:
-                verdict = f"it would need an impossible value: {t.problem}"
-            elif stage.accepted is not None and tied(best, t):
-                verdict = "tied"
-            elif stage.accepted is None:
-                verdict = f"below the threshold of {stage.threshold:.0f} nat"
-            else:
-                verdict = f"lower than {best.name} by {best.gain - t.gain:.0f} nat"
+            verdict = "named" if t.key in chosen else _refused(s, stage, t)
             rows[t.key] = Ranked(t.name, t.joint, float(t.gain), verdict)
     for e in names:
         rows.setdefault((e.name, e.joint), Ranked(e.name, e.joint, float(e.evidence), "named"))
     return tuple(sorted(rows.values(), key=lambda r: -r.evidence))
+
+
+def _refused(s, stage, t) -> str:
+    """Why a trial of a stage was given no name."""
+    best = stage.accepted
+    if t.problem is not None:
+        return t.problem
+    if t.key in s.retracted:
+        return "retracted: the error of position held out is not lower with it"
+    if best is not None and best.key not in s.retracted and tied(best, t):
+        return "tied"
+    if t.gain <= stage.threshold:
+        return f"below the threshold of {stage.threshold:.0f} nat"
+    if t.held_gain <= 0.0:
+        return "it does not lower the error on the rows kept back"
+    if best is not None:
+        return f"lower than {best.name} by {best.gain - t.gain:.0f} nat"
+    return "too little of it acts where rows were kept back"
 
 
 def _exact_ties(names) -> list[str]:

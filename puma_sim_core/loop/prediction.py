@@ -6,8 +6,8 @@ What the screening reads from filtered motion is quick and linear, and not exact
 reversal is blurred, and accelerations carry noise that feedback has sent through the voltage. Here
 the model itself, with all its effects, is run along the log as an observer (`tracking`). Of a
 true model the innovations are white and independent of the past, with feedback and without, so that
-fits are unbiased (Ljung, System Identification, chapter 13). They are weighted with a causal
-autoregressive filter, which keeps that.
+fits are unbiased (Ljung, System Identification, chapter 13). Their weighting is a causal filter
+(`colour`), which keeps that.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import fft
-from scipy.linalg import cho_factor, cho_solve, expm, solve_discrete_are, solve_toeplitz
-from scipy.signal import lfilter
+from scipy.linalg import cho_factor, cho_solve, expm, solve_discrete_are
+from scipy.signal import lfilter, oaconvolve
 
 from ..effects import Effect
 from ..errors import NonFiniteStateError, ParameterError
@@ -30,8 +30,8 @@ from . import filters
 
 #: time at the start of a log that the observer is given to settle [s]
 SETTLING = 0.12
-#: coefficients of the filter that makes innovations white
-_ORDER = 10
+#: taps up to which a filter is run row by row
+_DIRECT = 64
 #: greatest step of integration [s]
 _STEP = 1.2e-3
 #: least noise of the voltage [V] and greatest share of the gain's bandwidth
@@ -61,17 +61,30 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Weighting:
-    """Filters (J, order + 1) that make innovations white, and what they are scaled by (J,)."""
+    """Filters (J, taps) that make innovations white, what they are scaled by (J,), and the rows of
+    each log: no filter reaches from one into the next."""
 
     filters: np.ndarray
     scale: np.ndarray
+    lengths: tuple[int, ...]
 
     def __call__(self, values: np.ndarray) -> np.ndarray:
         """(n, J, ...) innovations or their derivatives, white and of variance 1."""
         out = np.empty_like(values)
         for j in range(values.shape[1]):
-            out[:, j] = lfilter(self.filters[j], [1.0], values[:, j], axis=0) / self.scale[j]
+            start = 0
+            for n in self.lengths:
+                rows = slice(start, start + n)
+                out[rows, j] = self._filtered(self.filters[j], values[rows, j]) / self.scale[j]
+                start += n
         return out
+
+    @staticmethod
+    def _filtered(taps, values):
+        if len(taps) <= _DIRECT:
+            return lfilter(taps, [1.0], values, axis=0)
+        taps = taps.reshape(-1, *[1] * (values.ndim - 1))
+        return oaconvolve(values, taps, axes=0)[:len(values)]
 
 
 class Predictor:
@@ -91,7 +104,9 @@ class Predictor:
         self.responses: list[np.ndarray] = []
         #: standard deviation of an innovation [rad] when the model is true
         self.spread: list[float] = []
-        self.gain = self._gain(np.maximum(volts, _LEAST_VOLTS), np.maximum(noise, 1e-9), step)
+        #: noise of a row's voltage that the gain is made for [V]
+        self.volts = np.maximum(volts, _LEAST_VOLTS)
+        self.gain = self._gain(self.volts, np.maximum(noise, 1e-9), step)
 
     def _stretch(self, log, held) -> Stretch:
         first = int(np.searchsorted(log.time, log.time[0] + 0.03))
@@ -203,6 +218,11 @@ class Predictor:
         return np.array(out)
 
     @property
+    def lengths(self) -> tuple[int, ...]:
+        """Innovations of each log."""
+        return tuple(len(s.time) - 1 for s in self.stretches)
+
+    @property
     def fit_rows(self) -> np.ndarray:
         """(N, J) whether an innovation may be used to fit."""
         return np.concatenate([s.fit for s in self.stretches])
@@ -216,28 +236,13 @@ class Predictor:
         """No filter, and a scale from row to row: what lasts, such as an effect that is missing,
         does not count as noise."""
         J, rows = errors.shape[1], self.fit_rows
-        filters, scale = np.zeros((J, _ORDER + 1)), np.ones(J)
-        filters[:, 0] = 1.0
+        filters, scale = np.ones((J, 1)), np.ones(J)
         for j in range(J):
             both = rows[1:, j] & rows[:-1, j]
             change = np.diff(errors[:, j])[both]
             scale[j] = 1.4826 * np.median(np.abs(change)) / np.sqrt(2.0) if len(change) else 1.0
             scale[j] = max(scale[j], 0.3 * float(np.std(change)) / np.sqrt(2.0), 1e-15)
-        return Weighting(filters, scale)
-
-    def weighting(self, errors: np.ndarray) -> Weighting:
-        """The filter of each joint that makes these innovations white, by Yule and Walker."""
-        J, rows = errors.shape[1], self.fit_rows
-        filters, scale = np.zeros((J, _ORDER + 1)), np.ones(J)
-        for j in range(J):
-            e = np.where(rows[:, j], errors[:, j], 0.0)
-            n = max(int(rows[:, j].sum()), 1)
-            c = np.array([e[:len(e) - k] @ e[k:] for k in range(_ORDER + 1)]) / n
-            c[0] *= 1.0 + 1e-9
-            a = solve_toeplitz(c[:-1], c[1:]) if c[0] > 0.0 else np.zeros(_ORDER)
-            filters[j] = [1.0, *-a]
-            scale[j] = np.sqrt(max(c[0] - a @ c[1:], 1e-30))
-        return Weighting(filters, scale)
+        return Weighting(filters, scale, self.lengths)
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 """The shape of what no effect of the library explains (step 10).
 
 For each joint a bank of free curves: piecewise linear over one axis at a time, whole and with the
-sign of the velocity, and single lines of the spectrum in time and in motor angle. Each is a
+sign of the velocity, hystereses, and single lines of the spectrum in time and in motor angle. Each is a
 hypothesis like any other, with a Gaussian prior on the heights of its knots; the one with the
 greatest gain of evidence is the axis, and its heights with their band are the curve.
 """
@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..backend import compiled
 from ..effects.screening import VOLTAGE_COLUMN, Candidate, Signals
 from .evidence import Scored
 from .result import Shape
@@ -21,8 +22,16 @@ from .result import Shape
 #: knots of a curve over a physical axis; of one over time [s between knots]
 _KNOTS, _TIME_KNOT = 9, 0.5
 _MOST_TIME_KNOTS = 60
+#: widths of the plays of a hysteresis, as shares of the range
+_PLAYS = np.array([0.004, 0.01, 0.025, 0.06, 0.15])
+#: ways of an axis to act
+_SIGNED, _HYSTERESIS = "with the sign of the velocity", "with hysteresis"
+#: past over which an acceleration is averaged [s]
+_PAST = 0.025
 #: prior of a knot's height, in volts of a middling friction torque
 _HEIGHT = 0.5
+#: least gain [nat] of a curve that is taken out before the noise is measured
+_CLEAR = 10.0
 #: lines per 1/(length of record), and the highest line in terms of the second cutoff
 _LINES, _TOP_LINE = 2.0, 0.95
 #: least frequency of a line, in periods over the record
@@ -33,23 +42,28 @@ _ORDERS = np.round(np.arange(0.5, 12.01, 0.25), 2)
 
 @dataclass(frozen=True)
 class Axis:
-    """What a curve is drawn over: name and unit; per full-rate row its coordinate (n,); signed:
-    the curve is multiplied by the sign of the velocity."""
+    """What a curve is drawn over: name and unit, its coordinate (n,) at all rows, knots (k,), and
+    the columns (n, k) of unit heights at them. way : how the axis acts, in words after its name;
+    "" for a plain curve."""
 
     name: str
     unit: str
     coordinate: np.ndarray
     knots: np.ndarray
-    signed: bool = False
+    columns: np.ndarray
+    way: str = ""
 
 
 def axes(signals: Signals, joint: int, position_unit: str = "rad") -> list[Axis]:
     """The axes of one joint (0-based)."""
     u = position_unit
     effort = "N.m" if u == "rad" else "N"
+    velocity = signals.velocity[:, joint]
+    direction = velocity / np.hypot(velocity, 2.0 * signals.velocity_noise[joint] + 1e-9)
+    acceleration = _past_mean(signals, signals.acceleration[:, joint])
     quantities = [("position", u, signals.position[:, joint]),
-                  ("velocity", f"{u}/s", signals.velocity[:, joint]),
-                  ("acceleration", f"{u}/s^2", signals.acceleration[:, joint]),
+                  ("velocity", f"{u}/s", velocity),
+                  ("acceleration", f"{u}/s^2", acceleration),
                   ("voltage", "V", signals.voltage[:, joint]),
                   ("torque", effort, signals.torque[:, joint])]
     for other in range(signals.joints):
@@ -66,17 +80,51 @@ def axes(signals: Signals, joint: int, position_unit: str = "rad") -> list[Axis]
         # half of the knots follow the rows, half are even: bare stretches get few
         even = np.linspace(low, high, _KNOTS)
         dense = np.quantile(values, np.linspace(0.002, 0.998, _KNOTS))
-        found.append(Axis(name, unit, values, 0.5 * (even + dense)))
+        knots = 0.5 * (even + dense)
+        columns = hats(values, knots)
+        found.append(Axis(name, unit, values, knots, columns))
         if name in ("position", "torque"):
-            found.append(Axis(name, unit, values, 0.5 * (even + dense), signed=True))
+            found.append(Axis(name, unit, values, knots, columns * direction[:, None], _SIGNED))
+        if name in ("position", "voltage"):
+            widths = (high - low) * _PLAYS
+            found.append(Axis(name, unit, values, widths,
+                              _plays(values, signals.segment, widths), _HYSTERESIS))
     time = signals.time
-    for number in np.unique(signals.segment):
-        t = time[signals.segment == number]
     count = int(np.clip((time.max() - time.min()) / _TIME_KNOT, 8, _MOST_TIME_KNOTS))
-    found.append(Axis("time", "s", time, np.linspace(time.min(), time.max(), count)))
+    knots = np.linspace(time.min(), time.max(), count)
+    found.append(Axis("time", "s", time, knots, hats(time, knots)))
     few = np.linspace(time.min(), time.max(), 8)
-    found.append(Axis("time", "s", time, few, signed=True))
+    found.append(Axis("time", "s", time, few, hats(time, few) * direction[:, None], _SIGNED))
     return found
+
+
+def _past_mean(signals: Signals, values) -> np.ndarray:
+    """(n,) values averaged over a short past: at rest, steps between quanta look like blows."""
+    rows = max(1, int(_PAST / signals.step))
+    total = np.cumsum(np.r_[0.0, values])
+    first = np.maximum(np.arange(len(values)) + 1 - rows, 0)
+    return (total[1:] - total[first]) / (np.arange(len(values)) + 1 - first)
+
+
+def _plays(values, segment, widths) -> np.ndarray:
+    """(n, k) what a play of each width [unit of values] holds back of a quantity: a bank of
+    Prandtl and Ishlinskii, which has the shape of any hysteresis without a rate."""
+    return np.column_stack([play(np.ascontiguousarray(values), segment, 0.5 * float(w))
+                            for w in widths])
+
+
+@compiled
+def play(values, segment, half):
+    """values less the output of a play of half width `half`, at rest in its middle at the start of
+    each segment. Arrays (n,), returns (n,)."""
+    out = np.empty_like(values)
+    y = values[0]
+    for i in range(values.size):
+        if i > 0 and segment[i] != segment[i - 1]:
+            y = values[i]
+        y = min(max(y, values[i] - half), values[i] + half)
+        out[i] = values[i] - y
+    return out
 
 
 def hats(values: np.ndarray, knots: np.ndarray) -> np.ndarray:
@@ -85,24 +133,29 @@ def hats(values: np.ndarray, knots: np.ndarray) -> np.ndarray:
     return np.column_stack([np.interp(values, knots, column) for column in eye])
 
 
-def scores(causal, shifts, position_unit: str = "rad") -> tuple[list, float]:
-    """(`Scored`, its axis or None for a line) of all curves of all joints, best first, and the
-    greatest gain that chance gives any of them."""
+@dataclass(frozen=True)
+class Curve:
+    """A free curve over an axis, or a line (axis None), as scored, with its candidates' columns."""
+
+    scored: Scored
+    axis: Axis | None
+    pairs: list
+
+
+def curves(causal, position_unit: str = "rad") -> list[Curve]:
+    """All curves of all joints, best first."""
     signals, found = causal.signals, []
 
     def add(name, joint, pairs, axis):
         scored = causal.score_columns(name, joint, pairs)
         if scored is not None:
-            found.append((scored, axis, pairs))
+            found.append(Curve(scored, axis, pairs))
 
     for j in range(signals.joints):
         height = _HEIGHT * float(signals.volts_per_torque[j] * signals.torque_scale[j])
-        direction = signals.velocity[:, j] / np.hypot(
-            signals.velocity[:, j], 2.0 * signals.velocity_noise[j] + 1e-9)
         for axis in axes(signals, j, position_unit):
-            columns = hats(axis.coordinate, axis.knots)
-            if axis.signed:
-                columns = columns * direction[:, None]
+            columns = axis.columns if not axis.way == _HYSTERESIS else (
+                axis.columns * (height / axis.knots[-1]))
             p = columns.shape[1]
             candidate = Candidate(tuple({j: column} for column in columns.T), VOLTAGE_COLUMN,
                                   np.zeros(p), np.full(p, height), _free, {})
@@ -110,10 +163,21 @@ def scores(causal, shifts, position_unit: str = "rad") -> tuple[list, float]:
         add("line", j + 1, _time_lines(causal, j, height), None)
         if signals.gear[j] > 1.0:
             add("motor_angle", j + 1, _angle_lines(causal, j, height), None)
-    found.sort(key=lambda row: -row[0].gain)
-    chance = causal.chance([(scored, pairs) for scored, _, pairs in found], shifts) \
-        if found else 0.0
-    return [(scored, axis) for scored, axis, _ in found], chance
+    return sorted(found, key=lambda curve: -curve.scored.gain)
+
+
+def chance(causal, found: list[Curve], shifts) -> float:
+    """Greatest gain that chance gives any of the curves, once the best one is taken out."""
+    return causal.chance([(curve.scored, curve.pairs) for curve in found], shifts) if found else 0.0
+
+
+def without_best(causal, found: list[Curve]) -> np.ndarray:
+    """(N, J) innovations less the best curve that is no line, and less what the parameters make
+    up for it. Lines stay: a noise that is measured by medians does not see them."""
+    best = next((curve for curve in found if curve.axis is not None), None)
+    if best is None or best.scored.gain < _CLEAR:
+        return causal.errors
+    return causal.less(best.scored.entry.candidate, best.scored.coefficients)
 
 
 def _free(coefficients):
@@ -153,8 +217,9 @@ def _angle_lines(causal, j, height) -> list:
     return pairs
 
 
-def describe(scored: Scored, axis: Axis | None, ranking) -> Shape:
-    """The curve of the best hypothesis with its 95 % band."""
+def describe(best: Curve, ranking) -> Shape:
+    """The best curve with its 95 % band."""
+    scored, axis = best.scored, best.axis
     spread = 1.96 * np.sqrt(np.diag(scored.covariance))
     heights = scored.coefficients
     if axis is not None:

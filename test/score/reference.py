@@ -15,13 +15,14 @@ import numpy as np
 from puma_sim_core.effects import KINDS, Effect
 from puma_sim_core.effects.friction import VISCOUS
 from puma_sim_core.errors import PumaSimError
+from puma_sim_core.loop import colour
 from puma_sim_core.loop.explain import _held, _row_noise
 from puma_sim_core.loop.ingest import read_log
 from puma_sim_core.loop.prediction import Point, PredictionFit, Predictor
 from puma_sim_core.loop.problem import Problem
 from puma_sim_core.loop.sampling import sample
 from puma_sim_core.loop.search import Search
-from puma_sim_core.loop.selection import Selection
+from puma_sim_core.loop.trials import Trials
 from puma_sim_core.loop.validate import Validation
 from puma_sim_core.mechanisms import load_mechanism
 from puma_sim_core.plant import Plant
@@ -52,17 +53,16 @@ class Bench:
             predictor = Predictor([self.log], m, [_held(p, 0)],
                                   _row_noise(self.search, self.retuned),
                                   p.sampled.position_noise)
-            selection = Selection(self.search, predictor, self.library, 0,
-                                  lambda what, share: None)
+            trials = Trials(predictor, p)
             point = Point(m.clip(true.start), effects)
             raw = predictor.errors(m.plant(point.theta, effects))
             weighting = predictor.white_weighting(raw)
             for _ in range(2):
                 fitted = PredictionFit(predictor, weighting).run(
-                    point, selection.free(point, ()), rounds=_ROUNDS)
+                    point, trials.free(point, ()), rounds=_ROUNDS)
                 point = fitted.point
-                weighting = predictor.weighting(
-                    predictor.errors(m.plant(point.theta, point.effects)))
+                weighting = colour.weighting(
+                    predictor, predictor.errors(m.plant(point.theta, point.effects)))
             return self.position_rms(point.theta, point.effects)
         except PumaSimError:
             return None

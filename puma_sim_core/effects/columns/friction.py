@@ -15,6 +15,8 @@ _MOST = 12.0
 #: Stribeck velocities of a revolute joint [rad/s], and yield deflections of its bristles [rad]
 _STRIBECK_VELOCITIES = np.geomspace(0.008, 0.15, 8)
 _YIELD_DEFLECTIONS = np.geomspace(1e-4, 3e-3, 9)
+#: share of the viscous friction lost that a fit may start from
+_MOST_WARMED = 0.9
 #: greatest share of the load that a gear takes
 _GREATEST_COEFFICIENT = 0.5
 
@@ -177,8 +179,9 @@ def warm_up(signals: Signals, joint: int) -> list[Candidate]:
         return []
 
     def values(c, T):
-        return {"share": positive(c[0], "lost share of viscous friction", "", 1.0),
-                "time_constant": T}
+        # the share is of a friction that was retuned without the effect: it may be too low by half
+        share = positive(c[0], "lost share of viscous friction", "", 4.0)
+        return {"share": min(share, _MOST_WARMED), "time_constant": T}
 
     column = -signals.viscous[joint] * signals.velocity[:, joint]
     return warming(signals, joint, column, values, [0.4], [0.3], TORQUE_COLUMN)

@@ -47,7 +47,7 @@ def drift(signals: Signals, joint: int) -> list[Candidate]:
     volts = signals.volts_per_torque[joint] * signals.torque[:, joint]
 
     def values(c, T):
-        return {"share": positive(c[0], "growth of the resistance", "", 1.5), "time_constant": T}
+        return {"share": positive(c[0], "growth of the resistance", "", 3.0), "time_constant": T}
 
     return warming(signals, joint, volts, values, [0.2], [0.2], VOLTAGE_COLUMN)
 

@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""Hypotheses put into the model one by one, and fitted with all its parameters (step 6).
+
+The gain of log likelihood less the price of the free coefficients is what a trial is worth; the
+same on rows that were kept back, and whether its parameters are those of a machine, are the other
+things said of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..effects import KINDS, Effect
+from ..errors import ParameterError
+from .evidence import Scored
+from .prediction import Fitted, Point, PredictionFit
+
+#: least price [nat] of a coefficient
+_LEAST_PRICE = 1.5
+#: a tie: gains closer than this [nat], or than this share of the better one
+TIE_NATS, TIE_SHARE = 8.0, 0.003
+#: share of its screened gain that a fit must reach, else all derivatives are taken anew
+_PROMISED = 0.7
+#: share of the best gain above which a trial is fitted again with its own derivatives, for how many,
+#: and from which gain [nat] on
+_NEAR, _POLISHED, _WORTH = 0.8, 4, 8.0
+#: shares of a screened threshold that a fit may start from
+_STARTS = (0.7, 0.8, 0.87, 0.94, 1.0, 1.07, 1.15, 1.3)
+#: change [nat] of the rows kept back, and share of the gain, below which an effect does not act on them
+_UNTOUCHED, _UNTOUCHED_SHARE = 1.5, 0.03
+#: parameters that a screening gives and a fit leaves alone
+STRUCTURAL = frozenset({"motor_share", "order", "ratio"})
+_STRUCTURAL_OF = {"payload": {"y"}, "backlash": {"stiffness", "damping"}}
+_IMPOSSIBLE = "it would need an impossible value"
+#: stiffnesses of which more means less of an effect
+_LESS_WHEN_STIFFER = {("joint_elasticity", "stiffness"), ("presliding_friction", "stiffness")}
+#: how far outside its plausible sizes a parameter may come out
+_BEYOND = 4.0
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A hypothesis in the model: its gain [nat], its gain on the rows kept back, what was fitted;
+    why it is no name, None where it may be one."""
+
+    name: str
+    joint: int | None
+    gain: float
+    held_gain: float
+    fitted: Fitted | None
+    price: float
+    problem: str | None = None
+
+    @property
+    def key(self) -> tuple:
+        """(name, joint)."""
+        return self.name, self.joint
+
+    @property
+    def untried(self) -> bool:
+        """Whether next to nothing of it acts on the rows kept back."""
+        return self.held_gain == _UNTOUCHED
+
+
+class Trials:
+    """Makes the trials of one problem.
+
+    predictor : `Predictor`; problem : `Problem`, whose mechanism the effects are put into.
+    """
+
+    def __init__(self, predictor, problem):
+        self.predictor = predictor
+        self.problem = problem
+        self.mechanism = problem.mechanism
+
+    def run(self, fit, base: Fitted, known, known_free, scored: Scored,
+              start: Point | None = None, again: bool = False) -> Trial:
+        """A hypothesis in the model, fitted with all that is free.
+
+        start : to go on from, in place of the screened values; again : whether to take all
+        derivatives anew where the fit does not keep what the screening promised.
+        """
+        number = len(base.point.effects)
+        try:
+            effect = self.effect(scored) if start is None else start.effects[-1]
+        except ParameterError as problem:
+            return Trial(scored.name, scored.joint, 0.0, 0.0, None, scored.price,
+                         f"{_IMPOSSIBLE}: {problem}")
+        free = [(number, name) for name in self.names(effect, scored.values)]
+        price = _price(scored)
+        if start is None:
+            if scored.entry is not None and scored.entry.candidate.fixed:
+                effect = self._best_start(fit, base, effect, next(iter(scored.values)))
+            start = Point(base.point.theta, (*base.point.effects, effect))
+        fitted = fit.run(start, free, known=known, known_free=known_free, rounds=5)
+        if again and (fitted is None
+                      or base.objective - fitted.objective < _PROMISED * scored.gain):
+            # a model without the effect may have stretched its parameters so far that they, or
+            # derivatives about them, are of no use to the model with it
+            starts = [Point(self.mechanism.start, start.effects)]
+            if fitted is not None:
+                starts.append(fitted.point)
+            found = [fitted, *(fit.run(at, (*known_free, *free), rounds=4) for at in starts)]
+            fitted = min((f for f in found if f is not None), key=lambda f: f.objective,
+                         default=None)
+        if fitted is None:
+            return Trial(scored.name, scored.joint, 0.0, 0.0, None, price,
+                         "the model with it does not stay finite along the log")
+        return self._judged(fit, base, scored, fitted)
+
+    def _judged(self, fit, base: Fitted, scored: Scored, fitted: Fitted) -> Trial:
+        price = _price(scored)
+        gain = base.objective - fitted.objective - price
+        held = fit.held_sum(base.errors) - fit.held_sum(fitted.errors)
+        if fit.held_sum(base.errors - fitted.errors) < max(_UNTOUCHED, _UNTOUCHED_SHARE * gain):
+            # a limit that was met, or a blow that fell, elsewhere: nothing is said against it here
+            held = _UNTOUCHED
+        return Trial(scored.name, scored.joint, gain, held, fitted, price,
+                     self.implausible(fitted.point.effects[-1]))
+
+    def _best_start(self, fit, base: Fitted, effect: Effect, name: str) -> Effect:
+        """The effect with the value of a threshold or a stiffness that fits best of a few: it acts
+        where that value is, which no slope tells."""
+        spec = next(p for p in effect.kind.parameters if p.name == name)
+        best = None
+        for share in _STARTS:
+            value = min(max(share * effect.values[name], spec.low), spec.high)
+            moved = Effect(effect.kind, effect.joint, {**effect.values, name: value})
+            errors = fit.errors(Point(base.point.theta, (*base.point.effects, moved)))
+            if errors is not None:
+                objective = fit.objective(errors, base.point.theta)
+                if best is None or objective < best[0]:
+                    best = objective, moved
+        return effect if best is None else best[1]
+
+    def polished(self, fit, base: Fitted, known_free, short, trials) -> list[Trial]:
+        """Those that are near the best fitted again, with all derivatives about themselves."""
+        top = max((t.gain for t in trials if t.problem is None), default=0.0)
+        if top < _WORTH:
+            return trials
+        near = sorted((t for t in trials if t.problem is None and t.gain > _NEAR * top),
+                      key=lambda t: -t.gain)[:_POLISHED]
+        result = []
+        for s, t in zip(short, trials):
+            if t in near and len(near) > 1:
+                pairs = (*known_free, *t.fitted.names[len(known_free):])
+                known = fit.white(fit.derivatives(t.fitted.point, pairs))
+                fitted = fit.run(t.fitted.point, (), known=known, known_free=pairs, rounds=3)
+                t = self._judged(fit, base, s, fitted)
+            result.append(t)
+        return result
+
+    def free(self, point: Point, keys) -> tuple:
+        """All free parameters of the effects of a model."""
+        return tuple((number, name) for number, effect in enumerate(point.effects)
+                     for name in self.names(effect, effect.values))
+
+    def names(self, effect: Effect, values) -> list[str]:
+        """Parameters that are fitted: those of the screening, without structure and without
+        what the effect takes from its machine."""
+        taken = {p.name for p in effect.kind.parameters if p.from_arm is not None}
+        keep = {"soft_stop": {"lower", "upper"}, "payload": {"z"}}.get(effect.kind.name, set())
+        held = STRUCTURAL | _STRUCTURAL_OF.get(effect.kind.name, set())
+        names = [name for name in values if name not in held]
+        names = [name for name in names if name not in taken or name in keep]
+        if effect.kind.name == "soft_stop":
+            names = [n for n in names if n == "stiffness" or self._stop_is_touched(effect, n)]
+        return names
+
+    def _stop_is_touched(self, effect, name) -> bool:
+        q = self.problem.sampled.position[:, effect.joint - 1]
+        if name == "lower":
+            return effect.values["lower"] > q.min()
+        return name == "upper" and effect.values["upper"] < q.max()
+
+    def effect(self, scored: Scored) -> Effect:
+        kind = KINDS[scored.name]
+        values = dict(scored.values)
+        for p in kind.parameters:
+            if p.name in values:
+                values[p.name] = min(max(values[p.name], p.low), p.high)
+        plant = self.mechanism.plant(self.mechanism.start, (Effect(kind, scored.joint, values),))
+        return plant.effects[-1]
+
+    def implausible(self, effect: Effect) -> str | None:
+        screening = effect.kind.screening
+        for name, low, high in screening.plausible:
+            value = effect.values.get(name)
+            if value is None or not self._on_arm():
+                continue
+            if value > _BEYOND * high and (effect.kind.name, name) not in _LESS_WHEN_STIFFER:
+                return f"{_IMPOSSIBLE}: {name} {value:.3g}, more than any machine has ({high:.3g})"
+            if name in ("velocity", "stiffness") and value < low / _BEYOND:
+                return f"{_IMPOSSIBLE}: {name} {value:.3g}, less than any machine has ({low:.3g})"
+        return None
+
+    def _on_arm(self) -> bool:
+        return self.problem.sampled.joints == 3
+
+
+def _price(scored: Scored) -> float:
+    """What the free coefficients of a hypothesis cost [nat]."""
+    return max(scored.price, _LEAST_PRICE * len(scored.values))
+
+
+def tied(best: Trial, other: Trial) -> bool:
+    """Whether the log cannot tell the two apart by evidence."""
+    return best.gain - other.gain < max(TIE_NATS, TIE_SHARE * best.gain)
