@@ -36,6 +36,7 @@ class CausalScreen:
                  problem):
         self.fit = fit
         self.predictor = fit.predictor
+        self.point = point
         self.problem = problem
         self.block = max(1, int(_BLOCK / self.predictor.step))
         self.errors = errors
@@ -100,16 +101,26 @@ class CausalScreen:
         """Joint -> (b, p) white innovations that unit coefficients would make, in blocks."""
         return {j: self._blocks(full, j) for j, full in self._white(candidate).items()}
 
-    def less(self, candidate: Candidate, coefficients: np.ndarray) -> np.ndarray:
-        """(N, J) white innovations at the rows to fit, 0 elsewhere, less what a hypothesis
-        explains, the parameters having answered to it."""
-        made = self._white(candidate)
-        answer = cho_solve(self.factor, sum(self.N[j].T @ (self._blocks(x, j) @ coefficients)
-                                            for j, x in made.items()))
-        left = self.errors + self.jacobian @ answer
+    def left(self, candidate: Candidate | None = None, coefficients=None) -> np.ndarray:
+        """(N, J) white innovations at the rows to fit, 0 elsewhere, that a hypothesis leaves when the
+        parameters have answered to it; None: that the parameters alone leave."""
+        made = {} if candidate is None else {j: x @ coefficients
+                                             for j, x in self._white(candidate).items()}
+        pulled = self.Ny - sum(self.N[j].T @ self._blocks(x[:, None], j)[:, 0]
+                               for j, x in made.items())
+        left = self.errors - self.jacobian @ cho_solve(self.factor, pulled)
         for j, x in made.items():
-            left[:, j] -= x @ coefficients
+            left[:, j] -= x
         return np.where(self.fit.rows, left, 0.0)
+
+    def volts(self, candidate: Candidate, coefficients) -> np.ndarray:
+        """(N, J) voltage [V] of a hypothesis whose columns are voltages, at the rows before the
+        innovations."""
+        out = np.zeros_like(self.signals.voltage)
+        for column, c in zip(candidate.columns, coefficients):
+            for j, values in column.items():
+                out[:, j] += c * values
+        return out
 
     def _white(self, candidate: Candidate) -> dict[int, np.ndarray]:
         """Joint -> (N, p) white innovations that unit coefficients would make."""

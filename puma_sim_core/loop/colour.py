@@ -11,6 +11,8 @@ bands, which a line does not move. Of that spectrum the filter is the causal one
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy import fft
 from scipy.optimize import nnls
@@ -25,6 +27,18 @@ _BAND, _SHARE, _LEAST_LINES = 1.0, 0.15, 6
 _SHORTEST = 0.3
 #: longest filter [s]
 _LONGEST = 1.5
+#: share of the lines of a tapered periodogram that are independent, and what a line that stands out
+#: counts as, over the spectrum
+_INDEPENDENT, _OUTLYING = 0.5, 8.0
+
+
+@dataclass(frozen=True)
+class Noise:
+    """The noise of one joint: taps of the filter that makes it white, and the log likelihood of
+    what it was measured on [nat]."""
+
+    taps: np.ndarray
+    log_likelihood: float
 
 
 def weighting(predictor: Predictor, errors: np.ndarray, before: Weighting | None = None
@@ -34,31 +48,42 @@ def weighting(predictor: Predictor, errors: np.ndarray, before: Weighting | None
     errors (N, J) : the innovations, in the weighting `before`, which is undone; only rows to fit
     are read.
     """
-    size = fft.next_fast_len(2 * int(_LONGEST / predictor.step), real=True)
-    frequency = fft.rfftfreq(size, predictor.step)
-    taps = []
-    for j in range(errors.shape[1]):
-        spectra = _sources(predictor, j, frequency)
-        passed = 1.0 if before is None else np.abs(
-            _response(before.filters[j], frequency, predictor.step) / before.scale[j]) ** 2
-        weights = _weights(frequency, spectra * passed, *_periodogram(predictor, errors, j))
-        taps.append(_whitening(weights @ spectra, predictor.step, size))
-    filters = np.array(taps)
+    filters = np.array([noise(predictor, errors[:, j], j, before).taps
+                        for j in range(errors.shape[1])])
     return Weighting(filters, np.ones(len(filters)), predictor.lengths)
 
 
-def _response(taps, frequency, step) -> np.ndarray:
-    """(f,) complex response of a filter at frequencies [Hz]."""
-    if len(taps) > len(frequency) // 2:
-        return np.fft.rfft(taps, 2 * (len(frequency) - 1))
-    return np.exp(-2j * np.pi * np.outer(frequency, np.arange(len(taps))) * step) @ taps
+def noise(predictor: Predictor, errors: np.ndarray, j: int, before: Weighting | None = None
+          ) -> Noise:
+    """The noise of joint j (0-based) by innovations (N,), as `weighting`."""
+    size = fft.next_fast_len(2 * int(_LONGEST / predictor.step), real=True)
+    frequency = fft.rfftfreq(size, predictor.step)
+    spectra = _sources(predictor, j, frequency)
+    passed = np.ones(len(frequency)) if before is None else np.abs(
+        _response(before.filters[j], size) / before.scale[j]) ** 2
+    f, power = _periodogram(predictor, errors, j)
+    weights = _weights(frequency, spectra * passed, f, power)
+    spectrum = weights @ spectra
+    likelihood = 0.0
+    if len(f):
+        model = np.interp(f, frequency, spectrum * passed)
+        likelihood = -_INDEPENDENT * float(
+            (np.log(model) + np.minimum(power / model, _OUTLYING)).sum())
+    return Noise(_whitening(spectrum, predictor.step, size), likelihood)
+
+
+def _response(taps, size) -> np.ndarray:
+    """(size / 2 + 1,) complex response of a filter at the frequencies of a transform."""
+    folded = np.zeros(-(-len(taps) // size) * size)
+    folded[:len(taps)] = taps
+    return np.fft.rfft(folded.reshape(-1, size).sum(axis=0))
 
 
 def _sources(predictor, j, frequency) -> np.ndarray:
     """(k, f) spectra [rad^2/Hz] of unit sources in the innovations of a joint."""
     step = predictor.step
     response = predictor.responses[j]
-    passed = np.abs(_response(response, frequency, step)) ** 2
+    passed = np.abs(_response(response, 2 * (len(frequency) - 1))) ** 2
     white = np.full(len(frequency), 2.0 * step)
     # with both noises as reckoned with, innovations are white: what the voltage leaves is the sensor
     volts = white * passed
@@ -85,7 +110,7 @@ def _periodogram(predictor, errors, j) -> tuple[np.ndarray, np.ndarray]:
             if (b - a) * step < _SHORTEST:
                 continue
             taper = np.hanning(b - a)
-            power = np.abs(np.fft.rfft(errors[start + a:start + b, j] * taper)) ** 2
+            power = np.abs(np.fft.rfft(errors[start + a:start + b] * taper)) ** 2
             found.append((np.fft.rfftfreq(b - a, step)[1:],
                           power[1:] * 2.0 * step / (taper @ taper)))
         start += n

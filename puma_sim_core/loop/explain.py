@@ -14,7 +14,7 @@ from .. import __version__
 from ..effects import KINDS
 from ..errors import NonFiniteStateError, RecordingError
 from ..mechanisms import load_mechanism
-from . import colour, feedback, intervals, outcome, shape
+from . import feedback, intervals, outcome, shape
 from .causal import CausalScreen
 from .detect import detectable
 from .gate import check
@@ -30,8 +30,8 @@ from .validate import Validation
 #: least and greatest noise of a row's voltage that the observer reckons with, in volts of a
 #: middling friction torque
 _LEAST_NOISE, _GREATEST_NOISE = 0.02, 0.5
-#: noises that shapes are judged in, each from what the best shape in the one before leaves
-_NOISE_ROUNDS = 3
+#: gain of a curve [nat] above which it may have stretched the parameters
+_MUCH = 150.0
 #: what the position error held out may grow by with an effect that does not act there
 _UNTRIED_ROOM = 1.03
 #: placebos of the shapes
@@ -171,22 +171,42 @@ class Analysis:
         """Free curves against what is left, in the noise that the best of them leaves; the greatest
         gain that chance gives any of them (step 10)."""
         predictor, unit = self.predictor, self.mechanism.position_unit
-        raw = predictor.errors(self.mechanism.plant(final.point.theta, final.point.effects))
-        plain = PredictionFit(predictor, predictor.white_weighting(raw))
-        derivatives = plain.derivatives(final.point, final.names)
         # the first noise is the least that the innovations allow: one fitted to all that is left
         # would take what is missing for noise
-        fit, found, causal = plain, [], None
-        for _ in range(_NOISE_ROUNDS):
-            if causal is not None:
-                left = shape.without_best(causal, found)
-                fit = PredictionFit(predictor, colour.weighting(predictor, left, fit.weighting))
-            causal = CausalScreen(fit, final.point, fit.weighting(raw), fit.white(derivatives),
-                                  self.problem)
+        plain = predictor.white_weighting(self._raw(final.point))
+        causal = self._causal(final.point, final.names, plain)
+        found = shape.curves(causal, unit)
+        if found and found[0].scored.gain > _MUCH:
+            point = self._relaxed(causal, found, final)
+            causal = self._causal(point, final.names, plain)
             found = shape.curves(causal, unit)
+        causal = self._causal(causal.point, final.names, shape.noise(causal, found))
+        found = shape.curves(causal, unit)
         rng = np.random.default_rng(self.seed + 1)
         shifts = np.sort(rng.uniform(0.06, 0.94, _SHIFTS))
         return found, shape.chance(causal, found, shifts)
+
+    def _raw(self, point) -> np.ndarray:
+        return self.predictor.errors(self.mechanism.plant(point.theta, point.effects))
+
+    def _causal(self, point, names, weighting) -> CausalScreen:
+        """The screen about a point whose effects have these free parameters."""
+        fit = PredictionFit(self.predictor, weighting)
+        return CausalScreen(fit, point, weighting(self._raw(point)),
+                            fit.white(fit.derivatives(point, names)), self.problem)
+
+    def _relaxed(self, causal, found, final) -> Point:
+        """The parameters as they are when the best curve takes its part of the voltage: what is
+        missing may have stretched them so far that no curve fits about them."""
+        best = next((curve.scored for curve in found if curve.axis is not None), None)
+        if best is None:
+            return final.point
+        volts = causal.volts(best.entry.candidate, best.coefficients)
+        fit = PredictionFit(self.predictor.less(volts), causal.fit.weighting)
+        starts = (final.point, Point(self.mechanism.start, final.point.effects))
+        tried = [fit.run(start, final.names, rounds=4) for start in starts]
+        return min((t for t in tried if t is not None), key=lambda t: t.objective,
+                   default=final).point
 
     def _volts(self, plant) -> np.ndarray:
         """(N, J) voltages [V] that a plant lacks along the logs, at the rows of the observer."""

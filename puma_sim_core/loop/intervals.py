@@ -1,26 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""Confidence intervals that hold: the sandwich of Newey and West about the last step (step 8).
+"""Confidence intervals that hold: a sandwich about the last step, and profiles (step 8).
 
 Where the model is not exact its innovations are not quite independent, and the inverse of the normal
 matrix is too narrow. The sandwich takes the scores' own covariance, over lags up to a third of a
-second (Newey and West 1987, Econometrica 55:703). The wider of the two counts.
+second (Newey and West 1987, Econometrica 55:703). Limits and gaps are not seen by any slope: each
+parameter is also moved to both sides, with all others fitted again, until the likelihood has fallen by
+what its variance in the sandwich asks for. The widest counts.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from .prediction import Fitted, PredictionFit
+from ..effects import Effect
+from ..errors import ParameterError
+from .prediction import Fitted, Point, PredictionFit
 
 _LONGEST = 0.33
 _NORMAL = 1.959963984540054
 #: blocks that scores are summed over before their lags are looked at [s]
 _BLOCK = 0.02
+#: where a profile is looked at, over the reach of the sandwich
+_SHARES = (0.5, 1.0, 1.5, 2.5, 4.0)
 
 
-def deviations(fit: PredictionFit, fitted: Fitted) -> np.ndarray:
-    """(c,) standard deviations of the free parameters of the effects, in their units."""
+def deviations(fit: PredictionFit, fitted: Fitted) -> tuple[np.ndarray, np.ndarray]:
+    """(c,) standard deviations of the free parameters of the effects, in their units, and (c,) what
+    their variance in the sandwich is over that by the normal matrix, 1 at least."""
     J, e = fitted.jacobian, fitted.errors[fit.rows]
     c = len(fitted.names)
     p = J.shape[1] - c
@@ -37,10 +44,9 @@ def deviations(fit: PredictionFit, fitted: Fitted) -> np.ndarray:
         product = scores[lag:].T @ scores[:-lag]
         meat += (1.0 - lag / (lags + 1.0)) * (product + product.T)
     meat += np.diag(np.concatenate([np.ones(p), np.zeros(c)]))
-    sandwich = inverse @ meat @ inverse
-    variance = np.maximum(np.diag(inverse), np.diag(sandwich))[p:]
-    sizes = np.array(fit.sizes(fitted.point, fitted.names))
-    return np.sqrt(variance) * sizes
+    normal, sandwich = np.diag(inverse)[p:], np.diag(inverse @ meat @ inverse)[p:]
+    wider = np.maximum(sandwich / normal, 1.0)
+    return np.sqrt(normal * wider) * np.array(fit.sizes(fitted.point, fitted.names)), wider
 
 
 def intervals(fit: PredictionFit, fitted: Fitted) -> dict:
@@ -48,11 +54,55 @@ def intervals(fit: PredictionFit, fitted: Fitted) -> dict:
     if not fitted.names:
         return {}
     result = {}
-    for pair, spread in zip(fitted.names, deviations(fit, fitted)):
-        number, name = pair
+    for k, (spread, wider) in enumerate(zip(*deviations(fit, fitted))):
+        number, name = fitted.names[k]
         effect = fitted.point.effects[number]
         spec = next(p for p in effect.kind.parameters if p.name == name)
-        value = effect.values[name]
-        low, high = value - _NORMAL * spread, value + _NORMAL * spread
-        result[pair] = (value, max(low, min(spec.low, value)), min(high, max(spec.high, value)))
+        value, blur = effect.values[name], _blur(fit, effect, name)
+        ends = []
+        for sign, bound in ((-1.0, spec.low), (1.0, spec.high)):
+            reach = max(_NORMAL * spread, _profile(fit, fitted, k, sign, spread, wider))
+            end = value + sign * float(np.hypot(reach, _NORMAL * blur))
+            ends.append(max(end, min(bound, value)) if sign < 0.0 else
+                        min(end, max(bound, value)))
+        result[number, name] = (value, *ends)
     return result
+
+
+def _profile(fit, fitted, k, sign, spread, wider) -> float:
+    """How far a parameter can be moved in one direction until the likelihood has fallen enough."""
+    number, name = fitted.names[k]
+    effect = fitted.point.effects[number]
+    spec = next(p for p in effect.kind.parameters if p.name == name)
+    others = tuple(pair for n, pair in enumerate(fitted.names) if n != k)
+    at = fitted.jacobian.shape[1] - len(fitted.names) + k
+    known = np.delete(fitted.jacobian, at, axis=1)
+    enough, before = 0.5 * _NORMAL ** 2 * wider, (0.0, 0.0)
+    for share in _SHARES:
+        reach = share * _NORMAL * spread
+        value = effect.values[name] + sign * reach
+        if not spec.low <= value <= spec.high:
+            break
+        effects = list(fitted.point.effects)
+        try:
+            effects[number] = Effect(effect.kind, effect.joint, {**effect.values, name: value})
+        except ParameterError:
+            break
+        moved = fit.run(Point(fitted.point.theta, tuple(effects)), (), known=known,
+                        known_free=others, rounds=3)
+        fall = np.inf if moved is None else moved.objective - fitted.objective
+        if fall >= enough:
+            # between two points the likelihood falls with the square
+            low, high = np.sqrt(max(before[1], 0.0)), np.sqrt(min(fall, 1e6 * enough))
+            part = (np.sqrt(enough) - low) / max(high - low, 1e-12)
+            return before[0] + min(max(part, 0.0), 1.0) * (reach - before[0])
+        before = reach, fall
+    return before[0]
+
+
+def _blur(fit, effect, name) -> float:
+    """What a parameter is uncertain by since another one is not fitted: the edges of a play are as
+    soft as its contact, whose stiffness is that of no machine in particular."""
+    if effect.kind.name == "backlash" and name == "gap":
+        return float(fit.mechanism.torque_scale[effect.joint - 1]) / effect.values["stiffness"]
+    return 0.0

@@ -13,7 +13,8 @@ fits are unbiased (Ljung, System Identification, chapter 13). Their weighting is
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import fft
@@ -216,6 +217,17 @@ class Predictor:
             ratio = np.abs(filters.response(f, cutoff) / (turn @ taps)) ** 2
             out.append(np.sqrt(2.0 * self.step * ratio.sum() * f[1]) * spread)
         return np.array(out)
+
+    def less(self, volts: np.ndarray) -> Predictor:
+        """The same logs with voltages (N, J) [V] taken from those that the plant gets."""
+        other, start = copy(self), 0
+        other.stretches = []
+        for s in self.stretches:
+            voltage = s.voltage.copy()
+            voltage[:-1] -= volts[start:start + len(voltage) - 1]
+            other.stretches.append(replace(s, voltage=voltage))
+            start += len(voltage) - 1
+        return other
 
     @property
     def lengths(self) -> tuple[int, ...]:

@@ -16,22 +16,28 @@ import numpy as np
 
 from ..backend import compiled
 from ..effects.screening import VOLTAGE_COLUMN, Candidate, Signals
+from . import colour
 from .evidence import Scored
+from .prediction import Weighting
 from .result import Shape
 
 #: knots of a curve over a physical axis; of one over time [s between knots]
 _KNOTS, _TIME_KNOT = 9, 0.5
+#: knots of a fine curve over the position
+_FINE_KNOTS = 40
 _MOST_TIME_KNOTS = 60
 #: widths of the plays of a hysteresis, as shares of the range
 _PLAYS = np.array([0.004, 0.01, 0.025, 0.06, 0.15])
 #: ways of an axis to act
 _SIGNED, _HYSTERESIS = "with the sign of the velocity", "with hysteresis"
+_FINE = "in fine steps"
 #: past over which an acceleration is averaged [s]
 _PAST = 0.025
 #: prior of a knot's height, in volts of a middling friction torque
 _HEIGHT = 0.5
-#: least gain [nat] of a curve that is taken out before the noise is measured
-_CLEAR = 10.0
+#: least gain [nat] of a curve that may be taken out before the noise is measured, how many are
+#: tried for each joint, and the price of a knot [nat]
+_CLEAR, _RIVALS, _KNOT_PRICE = 10.0, 6, 1.0
 #: lines per 1/(length of record), and the highest line in terms of the second cutoff
 _LINES, _TOP_LINE = 2.0, 0.95
 #: least frequency of a line, in periods over the record
@@ -85,6 +91,9 @@ def axes(signals: Signals, joint: int, position_unit: str = "rad") -> list[Axis]
         found.append(Axis(name, unit, values, knots, columns))
         if name in ("position", "torque"):
             found.append(Axis(name, unit, values, knots, columns * direction[:, None], _SIGNED))
+        if name == "position":
+            fine = np.linspace(low, high, _FINE_KNOTS)
+            found.append(Axis(name, unit, values, fine, hats(values, fine), _FINE))
         if name in ("position", "voltage"):
             widths = (high - low) * _PLAYS
             found.append(Axis(name, unit, values, widths,
@@ -171,13 +180,28 @@ def chance(causal, found: list[Curve], shifts) -> float:
     return causal.chance([(curve.scored, curve.pairs) for curve in found], shifts) if found else 0.0
 
 
-def without_best(causal, found: list[Curve]) -> np.ndarray:
-    """(N, J) innovations less the best curve that is no line, and less what the parameters make
-    up for it. Lines stay: a noise that is measured by medians does not see them."""
-    best = next((curve for curve in found if curve.axis is not None), None)
-    if best is None or best.scored.gain < _CLEAR:
-        return causal.errors
-    return causal.less(best.scored.entry.candidate, best.scored.coefficients)
+def noise(causal, found: list[Curve]):
+    """The weighting by what is left of each joint after the curve that explains it best.
+
+    Each of the first curves of a joint, and none at all, is set beside the others with the noise
+    that it leaves, by the likelihood of the two together: what a curve explains is then no noise,
+    and noise that a curve follows by chance does not make the rest look clear.
+    """
+    predictor, before = causal.predictor, causal.fit.weighting
+    alone, taps = causal.left(), []
+    for j in range(causal.J):
+        best = colour.noise(predictor, alone[:, j], j, before)
+        most = best.log_likelihood
+        own = [c for c in found if c.axis is not None and c.scored.joint == j + 1
+               and c.scored.gain > _CLEAR]
+        for curve in own[:_RIVALS]:
+            left = causal.left(curve.scored.entry.candidate, curve.scored.coefficients)
+            noise_left = colour.noise(predictor, left[:, j], j, before)
+            worth = noise_left.log_likelihood - _KNOT_PRICE * len(curve.axis.knots)
+            if worth > most:
+                best, most = noise_left, worth
+        taps.append(best.taps)
+    return Weighting(np.array(taps), np.ones(len(taps)), predictor.lengths)
 
 
 def _free(coefficients):

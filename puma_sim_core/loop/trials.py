@@ -31,7 +31,8 @@ _STARTS = (0.7, 0.8, 0.87, 0.94, 1.0, 1.07, 1.15, 1.3)
 _UNTOUCHED, _UNTOUCHED_SHARE = 1.5, 0.03
 #: parameters that a screening gives and a fit leaves alone
 STRUCTURAL = frozenset({"motor_share", "order", "ratio"})
-_STRUCTURAL_OF = {"payload": {"y"}, "backlash": {"stiffness", "damping"}}
+_STRUCTURAL_OF = {"payload": {"y"}, "backlash": STRUCTURAL | {"stiffness", "damping"},
+                  "transmission_error": set()}
 _IMPOSSIBLE = "it would need an impossible value"
 #: stiffnesses of which more means less of an effect
 _LESS_WHEN_STIFFER = {("joint_elasticity", "stiffness"), ("presliding_friction", "stiffness")}
@@ -161,7 +162,7 @@ class Trials:
         what the effect takes from its machine."""
         taken = {p.name for p in effect.kind.parameters if p.from_arm is not None}
         keep = {"soft_stop": {"lower", "upper"}, "payload": {"z"}}.get(effect.kind.name, set())
-        held = STRUCTURAL | _STRUCTURAL_OF.get(effect.kind.name, set())
+        held = _STRUCTURAL_OF.get(effect.kind.name, STRUCTURAL)
         names = [name for name in values if name not in held]
         names = [name for name in names if name not in taken or name in keep]
         if effect.kind.name == "soft_stop":
