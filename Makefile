@@ -54,7 +54,7 @@ help:
 	@echo "PYTHON=python3.11  the interpreter to use    NUMPY=1.26  hold NumPy to that release"
 	@echo "VENV=.venv311      another environment       PYTEST_ARGS='-k bag'  passed on to pytest"
 	@echo "SCORE_COUNT=40 SCORE_SEED=900000  records of make score, and the seed of the first"
-	@echo "LOOP_ARGS='--effect payload:mass=2,z=0.1'    another effect for make loop to hide"
+	@echo "LOOP_ARGS='--effect joint_spring:joint=3,stiffness=6'  another effect to hide"
 
 # $(1): the folder of the environment
 define make_venv

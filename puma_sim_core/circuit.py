@@ -56,6 +56,15 @@ def settled_state(x, v, drive, active, p):
 
 
 @inlined
+def motor_torques(i1, i2, i3, w1, w2, w3, v1, v2, v3, drive, active, p):
+    """Torques [N.m] that the motors give at the joints after viscous friction."""
+    _, _, _, n1, h1, _, _, _, n2, h2, _, _, _, n3, h3 = drive
+    if active & ALGEBRAIC:
+        i1, i2, i3 = settled_currents(i1, i2, i3, w1, w2, w3, v1, v2, v3, drive, active, p)
+    return n1 * i1 - h1 * w1, n2 * i2 - h2 * w2, n3 * i3 - h3 * w3
+
+
+@inlined
 def electric_rates(i1, i2, i3, w1, w2, w3, v1, v2, v3, drive, active, p):
     """Currents [A], as they are or as the voltages settle them, and their rates [A/s]."""
     y1, r1, k1, _, _, y2, r2, k2, _, _, y3, r3, k3, _, _ = drive

@@ -55,12 +55,12 @@ def motion(j, locked, w, p):
 
 
 @inlined
-def overload(j, sticks, torque, x, weight, p):
+def overload(j, sticks, torque, x, load, p):
     """Torque [N.m] by which a sticking joint is pushed beyond its level; negative while held."""
     if sticks == 0.0:
         return -1.0
     direction = 1.0 if torque > 0.0 else -1.0
-    return abs(torque) - sliding_level(j, direction, x[j], weight[j], 0.0, p)
+    return abs(torque) - sliding_level(j, direction, x[j], load[j], load[3 + j], 0.0, p)
 
 
 @inlined
@@ -78,10 +78,13 @@ def free_system(x, z, v, slip, body, drive, active, p):
 
 
 @inlined
-def weights(x, body):
-    """Gravity torques [N.m] of the three joints on a level base."""
+def loads(x, body, drive):
+    """Gravity torques [N.m] of the three joints on a level base, and what their motors give
+    after viscous friction, with the currents as they are."""
+    _, _, _, w1, w2, w3, i1, i2, i3 = x
+    _, _, _, n1, h1, _, _, _, n2, h2, _, _, _, n3, h3 = drive
     G2, G3 = gravity_torques(library_trigonometry(x[1], x[2]), body)
-    return 0.0, G2, G3
+    return 0.0, G2, G3, n1 * i1 - h1 * w1, n2 * i2 - h2 * w2, n3 * i3 - h3 * w3
 
 
 @inlined
@@ -131,7 +134,7 @@ def contact_of(system, x, z, v, body, drive, active, p, lock, push):
     if may1 + may2 + may3 > 0.0:
         m11, m12, m13, m22, m23, m33, b1, b2, b3 = system(
             x, z, v, slip, body, drive, active, p)
-        weight = weights(x, body)
+        load = loads(x, body, drive)
         least = 1e300
         for n in range(27):
             n1, n2, n3 = n % 3, n // 3 % 3, n // 9
@@ -140,13 +143,13 @@ def contact_of(system, x, z, v, body, drive, active, p, lock, push):
             k1, g1 = trial(n1, may1)
             k2, g2 = trial(n2, may2)
             k3, g3 = trial(n3, may3)
-            f1, f2, f3 = starting_levels(g1, g2, g3, x, weight, p)
+            f1, f2, f3 = starting_levels(g1, g2, g3, x, load, p)
             d1, d2, d3, c1, c2, c3 = borne_torques(
                 m11, m12, m13, m22, m23, m33, b1 - f1, b2 - f2, b3 - f3,
                 (l1 + k1, l2 + k2, l3 + k3, a1, a2, a3))
             # by how much the combination fails [N.m]; more than 0 for all is rounding only
-            failure = max(overload(0, k1, d1, x, weight, p), overload(1, k2, d2, x, weight, p),
-                          overload(2, k3, d3, x, weight, p),
+            failure = max(overload(0, k1, d1, x, load, p), overload(1, k2, d2, x, load, p),
+                          overload(2, k3, d3, x, load, p),
                           -g1 * c1 * m11, -g2 * c2 * m22, -g3 * c3 * m33)
             if failure < least:
                 least = failure
@@ -158,11 +161,11 @@ def contact_of(system, x, z, v, body, drive, active, p, lock, push):
 
 
 @inlined
-def starting_levels(g1, g2, g3, x, weight, p):
+def starting_levels(g1, g2, g3, x, load, p):
     """Friction [N.m], with its sign, of joints at rest that start in these directions."""
-    return (g1 * sliding_level(0, g1, x[0], weight[0], 0.0, p),
-            g2 * sliding_level(1, g2, x[1], weight[1], 0.0, p),
-            g3 * sliding_level(2, g3, x[2], weight[2], 0.0, p))
+    return (g1 * sliding_level(0, g1, x[0], load[0], load[3], 0.0, p),
+            g2 * sliding_level(1, g2, x[1], load[1], load[4], 0.0, p),
+            g3 * sliding_level(2, g3, x[2], load[2], load[5], 0.0, p))
 
 
 @inlined
@@ -183,13 +186,13 @@ def margin(system, x, z, v, body, drive, active, p, lock, held, slip):
         m11, m12, m13, m22, m23, m33, b1, b2, b3 = system(
             x, z, v, slip, body, drive, active, p)
         d1, d2, d3, _, _, _ = borne_torques(m11, m12, m13, m22, m23, m33, b1, b2, b3, held)
-        weight = weights(x, body)
+        load = loads(x, body, drive)
         if k1 != 0.0:
-            least = min(least, -overload(0, k1, d1, x, weight, p))
+            least = min(least, -overload(0, k1, d1, x, load, p))
         if k2 != 0.0:
-            least = min(least, -overload(1, k2, d2, x, weight, p))
+            least = min(least, -overload(1, k2, d2, x, load, p))
         if k3 != 0.0:
-            least = min(least, -overload(2, k3, d3, x, weight, p))
+            least = min(least, -overload(2, k3, d3, x, load, p))
     return least
 
 

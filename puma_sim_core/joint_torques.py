@@ -15,8 +15,9 @@ from . import effects as _registry
 from .backend import inlined, outlined
 from .effects.friction import (ASYMMETRIC_COULOMB, COULOMB, LOAD_DEPENDENT, POSITION_DEPENDENT,
                                PRESLIDING, QUADRATIC, STRIBECK, asymmetric_level, bristle_flow,
-                               coulomb_level, load_level, position_level, presliding_level,
-                               quadratic_torque, stribeck_level, stribeck_sliding_level)
+                               coulomb_level, load_level, loaded_torque, position_level,
+                               presliding_level, quadratic_torque, stribeck_level,
+                               stribeck_sliding_level)
 from .effects.motor import RIPPLE, ripple_torque
 from .effects.outside import BASE_TILT, SPRING, spring_torque, tilt_torques
 from .effects.stops import SOFT_STOP, stop_torque
@@ -75,20 +76,29 @@ def constant_level(j, direction, p):
 
 
 @inlined
-def pose_level(j, q, gravity, p):
-    """Dry friction [N.m] of joint j that depends on the pose: on its position q [rad] and its
-    gravity torque [N.m]."""
+def pose_level(j, q, gravity, torque, p):
+    """Dry friction [N.m] of joint j that depends on the pose and the load: on its position q
+    [rad], its gravity torque and what its motor gives after viscous friction [N.m]."""
     k = j * WIDTH
-    return load_level(p, k + _LOAD, gravity) + position_level(p, k + _POSITION, q)
+    return load_level(p, k + _LOAD, gravity, torque) + position_level(p, k + _POSITION, q)
 
 
 @inlined
-def sliding_level(j, direction, q, gravity, speed, p):
+def sliding_level(j, direction, q, gravity, torque, speed, p):
     """All dry friction [N.m] of joint j when it slides in `direction` at `speed` >= 0 [rad/s] in
     a pose, as `pose_level` takes it."""
     level = constant_level(j, direction, p)
     level += stribeck_level(p, j * WIDTH + _STRIBECK, speed)
-    return level + pose_level(j, q, gravity, p)
+    return level + pose_level(j, q, gravity, torque, p)
+
+
+@inlined
+def inverse_torque(j, sign, q, gravity, torque, speed, p):
+    """Torque [N.m] that joint j's motor gives, after viscous friction, where a motion takes
+    `torque` beside dry friction; sign : of its velocity, -1..1."""
+    direction = 1.0 if sign > 0.0 else -1.0
+    torque += sign * sliding_level(j, direction, q, 0.0, 0.0, speed, p)
+    return loaded_torque(p, j * WIDTH + _LOAD, gravity, torque, sign)
 
 
 @inlined
@@ -107,11 +117,11 @@ def has_bristle(j, p):
 
 
 @inlined
-def bristle_level(j, q, gravity, qd, p):
+def bristle_level(j, q, gravity, torque, qd, p):
     """Dry friction [N.m] that bounds joint j's bristle at velocity qd; 0.0 without a bristle."""
     if not has_bristle(j, p):
         return 0.0
-    return sliding_level(j, 1.0 if qd > 0.0 else -1.0, q, gravity, abs(qd), p)
+    return sliding_level(j, 1.0 if qd > 0.0 else -1.0, q, gravity, torque, abs(qd), p)
 
 
 @inlined
@@ -146,15 +156,20 @@ def tilted_torques(q1, trig, body, p):
 
 
 @inlined
-def pose_levels(q1, q2, q3, trig, body, p):
+def pose_levels(q1, q2, q3, t1, t2, t3, trig, body, p):
     """`pose_level` of the three joints."""
     G2, G3 = gravity_torques(trig, body)
-    return pose_level(0, q1, 0.0, p), pose_level(1, q2, G2, p), pose_level(2, q3, G3, p)
+    return (pose_level(0, q1, 0.0, t1, p), pose_level(1, q2, G2, t2, p),
+            pose_level(2, q3, G3, t3, p))
 
 
 @inlined
 def effect_torques(q1, q2, q3, w1, w2, w3, t1, t2, t3, trig, body, active, p, slip, bend):
-    """Torques at the joints [N.m] less what the active effects take."""
+    """Torques at the joints [N.m] less what the active effects take.
+
+    t1, t2, t3 : what the motors give after viscous friction, which is what loads the gears.
+    """
+    m1, m2, m3 = t1, t2, t3
     if active & SMOOTH:
         f1, f2, f3 = smooth_torques(q1, q2, q3, w1, w2, w3, p)
         t1 -= f1
@@ -175,7 +190,7 @@ def effect_torques(q1, q2, q3, w1, w2, w3, t1, t2, t3, trig, body, active, p, sl
             t2 -= s2 * stribeck_level(p, WIDTH + _STRIBECK, abs(w2))
             t3 -= s3 * stribeck_level(p, 2 * WIDTH + _STRIBECK, abs(w3))
         if active & POSED:
-            f1, f2, f3 = pose_levels(q1, q2, q3, trig, body, p)
+            f1, f2, f3 = pose_levels(q1, q2, q3, m1, m2, m3, trig, body, p)
             t1 -= s1 * f1
             t2 -= s2 * f2
             t3 -= s3 * f3
@@ -188,11 +203,11 @@ def effect_torques(q1, q2, q3, w1, w2, w3, t1, t2, t3, trig, body, active, p, sl
 
 
 @inlined
-def bristle_levels(q1, q2, q3, w1, w2, w3, trig, body, p):
-    """`bristle_level` of the three joints."""
+def bristle_levels(q1, q2, q3, w1, w2, w3, motors, trig, body, p):
+    """`bristle_level` of the three joints; motors : what they give after viscous friction."""
     G2, G3 = gravity_torques(trig, body)
-    return (bristle_level(0, q1, 0.0, w1, p), bristle_level(1, q2, G2, w2, p),
-            bristle_level(2, q3, G3, w3, p))
+    return (bristle_level(0, q1, 0.0, motors[0], w1, p), bristle_level(1, q2, G2, motors[1], w2, p),
+            bristle_level(2, q3, G3, motors[2], w3, p))
 
 
 @inlined

@@ -30,13 +30,13 @@ from math import cos, sin
 from . import effects as _registry
 from .backend import inlined
 from .circuit import (ALGEBRAIC, LIMIT, electric_rates, limited_currents, limited_rate,
-                      settled_currents)
+                      motor_torques, settled_currents)
 from .joint_torques import bristle_levels, bristle_torques, effect_torques
 
 WIDTH = _registry.WIDTH
 BRISTLE = _registry.BRISTLE
 CURRENT_LIMIT = _registry.CURRENT_LIMIT
-DROOP = _registry.DROOP
+DROOP, POSED = _registry.DROOP, _registry.POSED
 #: some joint is constrained from outside, or sticks
 LOCKED = 32
 
@@ -198,7 +198,11 @@ def build_step(trigonometry):
         r3 = q3 + half * w3
         trig = trigonometry(r2, r3)
         if active & BRISTLE:
-            level = bristle_levels(q1 + half * w1, r2, r3, u1, u2, u3, trig, body, p)
+            motors = STILL
+            if active & POSED:
+                motors = motor_torques(i1 + half * e1, i2 + half * e2, i3 + half * e3, u1, u2, u3,
+                                       v1, v2, v3, drive, active, p)
+            level = bristle_levels(q1 + half * w1, r2, r3, u1, u2, u3, motors, trig, body, p)
             _, bend = bristle_torques(
                 z, half * w1, half * w2, half * w3, level, p)
         b1, b2, b3, f1, f2, f3 = derivative(

@@ -20,7 +20,7 @@ from .effects.columns.transmission import link_side, on_links, shaft_torque, too
 from .effects.motor import DRIFT
 from .effects.screening import Signals
 from .joint_torques import (bristle_level, bristle_step, gravity_torques, has_bristle,
-                            sliding_level, smooth_torques, tilted_torques)
+                            inverse_torque, sliding_level, smooth_torques, tilted_torques)
 from .kernel import STILL, library_trigonometry
 from .mechanisms import Mechanism
 from .runs import terminal_voltage
@@ -31,11 +31,12 @@ _HELD = 0.98
 
 
 @compiled
-def _taken(time, step, q, w, sign, begin, body, drive, active, p, out):
+def _taken(time, step, q, w, motor, sign, begin, body, drive, active, p, out):
     """Torques (n, 3) [N.m] that the effects of a plant take at the rows of a motion.
 
-    sign (n, 3): direction of sliding, smooth about reversals; begin (n,): 1.0 where a stretch of
-    record begins, with bristles at rest.
+    motor (n, 3): torque that the motion takes without effects and viscous friction [N.m]; sign
+    (n, 3): direction of sliding, smooth about reversals; begin (n,): 1.0 where a stretch of record
+    begins, with bristles at rest.
     """
     z1, z2, z3 = 0.0, 0.0, 0.0
     for r in range(len(time)):
@@ -47,26 +48,25 @@ def _taken(time, step, q, w, sign, begin, body, drive, active, p, out):
         if active & TILT:
             g1, g2, g3 = tilted_torques(q[r][0], trig, body, p)
             f1, f2, f3 = f1 + g1, f2 + g2, f3 + g3
+        t1, t2, t3 = motor[r][0] + f1, motor[r][1] + f2, motor[r][2] + f3
         if active & TIMED:
             push = push_over(time[r] - 0.5 * step, step, p)
             now = drive_at(time[r], drive, p)
+            t1, t2, t3 = t1 - push[0], t2 - push[1], t3 - push[2]
             f1 += (now[4] - drive[4]) * w[r][0] - push[0]
             f2 += (now[9] - drive[9]) * w[r][1] - push[1]
             f3 += (now[14] - drive[14]) * w[r][2] - push[2]
         if active & (DRY | VARYING):
-            f1 += _sliding(0, q[r][0], w[r][0], sign[r][0], 0.0, p)
-            f2 += _sliding(1, q[r][1], w[r][1], sign[r][1], G2, p)
-            f3 += _sliding(2, q[r][2], w[r][2], sign[r][2], G3, p)
+            f1 += _sliding(0, q[r][0], w[r][0], sign[r][0], 0.0, t1, p)
+            f2 += _sliding(1, q[r][1], w[r][1], sign[r][1], G2, t2, p)
+            f3 += _sliding(2, q[r][2], w[r][2], sign[r][2], G3, t3, p)
         if active & BRISTLE:
             if begin[r] != 0.0:
                 z1, z2, z3 = 0.0, 0.0, 0.0
             else:
-                z1, g1 = bristle_step(0, z1, q[r][0] - q[r - 1][0],
-                                      bristle_level(0, q[r][0], 0.0, w[r][0], p), p)
-                z2, g2 = bristle_step(1, z2, q[r][1] - q[r - 1][1],
-                                      bristle_level(1, q[r][1], G2, w[r][1], p), p)
-                z3, g3 = bristle_step(2, z3, q[r][2] - q[r - 1][2],
-                                      bristle_level(2, q[r][2], G3, w[r][2], p), p)
+                z1, g1 = _bent(0, z1, q[r][0] - q[r - 1][0], q[r][0], w[r][0], 0.0, t1, p)
+                z2, g2 = _bent(1, z2, q[r][1] - q[r - 1][1], q[r][1], w[r][1], G2, t2, p)
+                z3, g3 = _bent(2, z3, q[r][2] - q[r - 1][2], q[r][2], w[r][2], G3, t3, p)
                 f1, f2, f3 = f1 + g1, f2 + g2, f3 + g3
         out[r, 0] = f1
         out[r, 1] = f2
@@ -74,11 +74,25 @@ def _taken(time, step, q, w, sign, begin, body, drive, active, p, out):
 
 
 @compiled
-def _sliding(j, q, w, sign, gravity, p):
-    """Dry friction [N.m] of joint j, 0.0 where it acts through a bristle."""
+def _sliding(j, q, w, sign, gravity, torque, p):
+    """Dry friction [N.m] of joint j, 0.0 where it acts through a bristle; torque : that of the
+    motor without it."""
     if has_bristle(j, p):
         return 0.0
-    return sign * sliding_level(j, 1.0 if w > 0.0 else -1.0, q, gravity, abs(w), p)
+    torque = inverse_torque(j, sign, q, gravity, torque, abs(w), p)
+    return sign * sliding_level(j, 1.0 if w > 0.0 else -1.0, q, gravity, torque, abs(w), p)
+
+
+@compiled
+def _bent(j, z, travel, q, w, gravity, torque, p):
+    """Deflection [rad] and torque [N.m] of joint j's bristle after `travel` [rad]; torque : that
+    of the motor without it."""
+    end, own = bristle_step(j, z, 0.0, 0.0, p)
+    # its own torque is part of the load that bounds it
+    for _ in range(2):
+        level = bristle_level(j, q, gravity, torque + own, w, p)
+        end, own = bristle_step(j, z, travel, level, p)
+    return end, own
 
 
 @compiled
@@ -135,8 +149,9 @@ def _torques(plant, signals: Signals, body, drive, active, p) -> np.ndarray:
     hidden = ((0, 0), (3 - plant.joints, 0))
     speed = signals.velocity
     width = np.maximum(2.0 * signals.velocity_noise, 1e-9)
+    motor = signals.torque - signals.viscous * speed
     arrays = [np.pad(values, hidden) for values in
-              (signals.position, speed, speed / np.hypot(speed, width))]
+              (signals.position, speed, motor, speed / np.hypot(speed, width))]
     begin = np.diff(signals.segment, prepend=signals.segment[0] - 1) != 0
     out = np.zeros((len(signals.time), 3))
     if BACKEND == "numba":

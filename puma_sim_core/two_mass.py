@@ -26,7 +26,8 @@ from outside. A constraint holds the motor of a soft joint, not its link.
 from __future__ import annotations
 
 from .backend import inlined, outlined
-from .circuit import ALGEBRAIC, electric_rates, limited_currents, settled_currents, settled_state
+from .circuit import (ALGEBRAIC, electric_rates, limited_currents, motor_torques,
+                      settled_currents, settled_state)
 from .contact import changing_step, contact_of, margin
 from .effects import BRISTLE, CURRENT_LIMIT, DRY, SMOOTH, TILT
 from .effects.transmission import (TRAIN_WIDTH, gear_output, is_soft, rotor_inertia, transmitted,
@@ -200,10 +201,11 @@ def mean_rate(a, b, c, d):
 
 
 @inlined
-def levels_half_way(y, body, p):
+def levels_half_way(y, v, body, drive, active, p):
     """`bristle_levels` at the motors' positions and velocities."""
-    return bristle_levels(y[0], y[1], y[2], y[3], y[4], y[5], library_trigonometry(y[1], y[2]),
-                          body, p)
+    motors = motor_torques(y[6], y[7], y[8], y[3], y[4], y[5], v[0], v[1], v[2], drive, active, p)
+    return bristle_levels(y[0], y[1], y[2], y[3], y[4], y[5], motors,
+                          library_trigonometry(y[1], y[2]), body, p)
 
 
 @outlined
@@ -219,7 +221,7 @@ def two_mass_step(x, z, v, h, body, drive, active, p, lock, slip):
     a = rates(y, v, body, drive, active, p, lock, slip, bend)
     y_half = moved(y, half, a)
     if active & BRISTLE:
-        level = levels_half_way(y_half, body, p)
+        level = levels_half_way(y_half, v, body, drive, active, p)
         _, bend = bristle_torques(bristles, half * a[0], half * a[1], half * a[2], level, p)
     b = rates(y_half, v, body, drive, active, p, lock, slip, bend)
     if active & BRISTLE:

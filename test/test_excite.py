@@ -14,6 +14,7 @@ import pytest
 from puma_sim_core.cli import main, parser
 from puma_sim_core.effects import KINDS, parse_effect
 from puma_sim_core.errors import ParameterError
+from puma_sim_core.loop import explain
 from puma_sim_core.loop.design import ENOUGH, design, suspects_of
 from puma_sim_core.loop.evidence import screen
 from puma_sim_core.loop.excitation import Builder, Limits, voltages
@@ -27,7 +28,7 @@ from puma_sim_core.loop.separation import Judge, _Parameters, play
 from puma_sim_core.mechanisms import load_mechanism
 from puma_sim_core.plant import dump_model
 from puma_sim_core.recording import read_csv
-from puma_sim_core.simulator import SERVO_PERIOD
+from puma_sim_core.simulator import SERVO_PERIOD, Simulator
 
 MACHINES = {name: load_mechanism(name) for name in ("puma560", "pendulum", "slide")}
 #: what each machine is asked for here
@@ -178,8 +179,8 @@ def test_a_special_case_is_told_one_way_only(designs):
 def test_exact_ties_are_reported_as_impossible():
     with pytest.raises(ParameterError, match="exact tie with parameters of slide"):
         designed("slide", "payload")
-    with pytest.raises(ParameterError, match="no motion shows load_dependent_friction@1"):
-        designed("slide", "load_dependent_friction,coulomb_friction")
+    with pytest.raises(ParameterError, match="no motion shows encoder_offset@1"):
+        designed("slide", "encoder_offset,coulomb_friction")
     # without gravity two springs on one joint differ in nothing: as an effect and its own copy
     twin = replace(KINDS["joint_spring"], name="other_spring")
     machine = MACHINES["slide"]
@@ -273,8 +274,8 @@ def test_else_what_the_log_did_not_excite():
     assert found.separate == (Hypothesis("torque_ripple", 1),)
     assert next_experiment(machine, [], unseen[:2], "log.csv").separate == (unseen[0],)
     assert next_experiment(machine, [], unseen[1:2], "log.csv") is None
-    # joint 1 of the arm bears no load
-    unseen = [Hypothesis("load_dependent_friction", 1), Hypothesis("load_dependent_friction", 2)]
+    # where joint 1 of the arm has its zero makes no difference
+    unseen = [Hypothesis("encoder_offset", 1), Hypothesis("encoder_offset", 2)]
     assert next_experiment(MACHINES["puma560"], [], unseen, "log.csv").separate == (unseen[1],)
 
 
@@ -318,3 +319,53 @@ def test_a_tie_is_broken_by_the_excitation_for_it(truth):
     good = gains(machine, recorded(machine, found.motion, truth), names)
     named = good[truth.partition(":")[0]]
     assert named - good[other] > max(8.0, 0.05 * named)
+
+
+def measured(machine, truth, time, volts, start, seed):
+    """A log of a machine with wrong parameters under voltages, with noise and counts."""
+    rng = np.random.default_rng(seed)
+    theta = machine.start * (1.0 + np.random.default_rng(4).uniform(-0.05, 0.05,
+                                                                    len(machine.start)))
+    simulator = Simulator(machine.plant(theta, [parse_effect(truth)]), max_step=1e-3)
+    simulator.reset(start)
+    position = simulator.run(time, volts + 0.02 * rng.normal(size=volts.shape)).position
+    count = 2.0 * np.pi / 65536.0
+    return Log("log", time, volts, np.round(position / count) * count)
+
+
+def told(explanation):
+    """(name, names it is tied with) of the only effect."""
+    assert explanation.verdict == "NAMED"
+    effect, = explanation.effects
+    return effect.name, {tie.name for tie in effect.tied_with}
+
+
+@pytest.mark.parametrize("truth", ("encoder_offset:joint=1,angle=0.03",
+                                   "voltage_offset:joint=1,voltage=0.15"))
+def test_the_log_of_what_is_written_breaks_the_tie_that_explain_reported(truth, tmp_path):
+    """The whole way: a poor log, the command that its report gives, and the log of what that
+    wrote, explained."""
+    machine, name = MACHINES["pendulum"], truth.partition(":")[0]
+    pair = {"encoder_offset", "voltage_offset"}
+    motion = Builder(machine, Limits.of(machine), 8.0).plain()
+    motion = motion.shrunk(np.array([0.1]), motion.centre)
+    time = np.arange(0.0, 8.0, 1.0 / 400.0)
+    volts = voltages(machine, motion, time, np.full(1, 1e-3))
+    poor = measured(machine, truth, time, volts, tuple(motion.centre), 1)
+    before = explain(poor, plant="pendulum")
+    first, ties = told(before)
+    assert first in pair and pair <= {first, *ties}
+
+    asked = parser().parse_args(shlex.split(before.next_experiment.command)[1:])
+    assert first + "@1" in asked.separate
+    path = tmp_path / "volts.csv"
+    assert main(["excite", "--plant", asked.plant, "--seconds", "8", "--rate", "400",
+                 "--separate", ",".join(f"{each}@1" for each in sorted(pair)),
+                 "--out", str(path)]) == 0
+    pose, = (line.split()[-2] for line in path.read_text().splitlines()
+             if line.startswith("# start"))
+    run = read_csv(path, ("voltage",), joints=1)
+    good = measured(machine, truth, run.time, run.voltage, (float(pose),), 2)
+    for logs in (good, [poor, good]):
+        found, ties = told(explain(logs, plant="pendulum"))
+        assert found == name and not pair & ties

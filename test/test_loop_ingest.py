@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import tracemalloc
 
 import numpy as np
@@ -14,7 +16,7 @@ from puma_sim_core import csv_rows
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.errors import BagError, PumaSimError, RecordingError
 from puma_sim_core.loop.gate import check
-from puma_sim_core.loop.ingest import encoder_step, parse_columns, read_log
+from puma_sim_core.loop.ingest import GREATEST_ROWS, encoder_step, parse_columns, read_log
 from puma_sim_core.mechanisms import load_mechanism
 from puma_sim_core.plant import Plant
 from puma_sim_core.session import Session, SessionConfig
@@ -142,6 +144,39 @@ def test_memory_does_not_grow_with_the_file(file):
     _, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert len(log) == 20000 and most < 60e6
+
+
+_PEAK = """
+import resource, sys
+from puma_sim_core.loop.gate import check
+from puma_sim_core.loop.ingest import read_log
+from puma_sim_core.mechanisms import load_mechanism
+log = read_log(sys.argv[1])
+_, notes = check(log, load_mechanism())
+print(len(log), sum(log.time[1:] <= log.time[:-1]), sum("were read" in note for note in notes),
+      resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+"""
+
+
+def test_a_huge_file_takes_no_more_memory_than_the_rows_that_are_read(file):
+    """Twice and ten times the rows that are read, of all seven columns of an arm: in a process of
+    its own, whose peak is its own. Behind those rows the time would go back."""
+    time = 1e-3 * np.arange(GREATEST_ROWS)
+    q = np.column_stack([0.5 * np.sin(2.0 * np.pi * f * time) for f in (0.3, 0.4, 0.5)])
+    rows = "".join(",".join(f"{value:.4f}" for value in row) + "\n"
+                   for row in np.column_stack([time, 10.0 * q, q]).tolist())
+    peaks = []
+    for times in (2, 10):
+        with open(file, "w") as out:
+            out.write("time,voltage1,voltage2,voltage3,position1,position2,position3\n")
+            for _ in range(times):
+                out.write(rows)
+        done = subprocess.run([sys.executable, "-c", _PEAK, str(file)], text=True,
+                              capture_output=True, check=True)
+        read, backwards, told, peak = map(int, done.stdout.split())
+        assert (read, backwards, told) == (GREATEST_ROWS, 0, 1)
+        peaks.append(peak / 1024.0)    # MB
+    assert peaks[1] < peaks[0] + 20.0
 
 
 def test_a_line_without_end_is_refused(file):

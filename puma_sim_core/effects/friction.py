@@ -17,6 +17,8 @@ from .columns import SCREENINGS
 
 #: past this exponent the Stribeck bump is below the last bit of any level it is added to
 _NEGLIGIBLE_EXPONENT = 40.0
+#: least share of its torque that a gear passes on when it drives; with less it would block
+_LEAST_SHARE = 0.02
 
 VISCOUS = Kind(
     name="viscous_friction", acts=TORQUE, stage=ALWAYS,
@@ -70,9 +72,14 @@ QUADRATIC = Kind(
 LOAD_DEPENDENT = Kind(
     name="load_dependent_friction", acts=TORQUE, stage=DRY | POSED,
     screening=SCREENINGS["load_dependent_friction"],
-    equation="tau = mu |G(q)| sgn(qd); at rest any torque up to mu |G(q)| is held",
-    sentence="Dry friction of the gears that grows with the weight they carry in a pose.",
-    parameters=(Parameter("coefficient", "1", 0.0, 1.0, "mu, of the joint's gravity torque"),))
+    equation="tau = mu |G(q) + a (T - G(q))| sgn(qd), T = N kt i - H qd what the motor gives; at "
+             "rest any torque up to that level is held",
+    sentence="Dry friction of the gears that grows with the load they carry: the weight of the "
+             "pose (a = 0), the torque that they transmit (a = 1), or a mean of the two.",
+    parameters=(Parameter("coefficient", "1", 0.0, 1.0, "mu, of the load"),
+                Parameter("transmitted", "1", 0.0, 1.0,
+                          "a, share of the motor's torque in the load, of gravity's the rest",
+                          default=0.0)))
 
 POSITION_DEPENDENT = Kind(
     name="position_dependent_friction", acts=TORQUE, stage=DRY | POSED,
@@ -124,9 +131,25 @@ def stribeck_sliding_level(p, k):
 
 
 @inlined
-def load_level(p, k, gravity):
-    """Level [N.m] where the joint bears the gravity torque `gravity` [N.m]."""
-    return p[k] * abs(gravity)
+def load_level(p, k, gravity, torque):
+    """Level [N.m] where the joint bears the gravity torque `gravity` [N.m] and its motor gives
+    `torque` [N.m], its viscous friction taken off."""
+    if p[k + 1] == 0.0:
+        return p[k] * abs(gravity)
+    return p[k] * abs(gravity + p[k + 1] * (torque - gravity))
+
+
+@inlined
+def loaded_torque(p, k, gravity, torque, sign):
+    """Torque [N.m] of a motor that gives `torque` and, on top, what this friction takes of it.
+
+    sign : of the velocity, -1..1. The friction loads the gear that it is made by: the load u is
+    c + s |u| with c that of `torque`, s = sign mu a, |s| < 1, so that |u| = |c| / (1 - s sgn c).
+    """
+    load = gravity + p[k + 1] * (torque - gravity)
+    own = sign * p[k]
+    share = 1.0 - p[k + 1] * (own if load > 0.0 else -own)
+    return torque + own * abs(load) / max(share, _LEAST_SHARE)
 
 
 @inlined

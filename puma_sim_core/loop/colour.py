@@ -63,7 +63,8 @@ def noise(predictor: Predictor, errors: np.ndarray, j: int, before: Weighting | 
         _response(before.filters[j], size) / before.scale[j]) ** 2
     f, power = _periodogram(predictor, errors, j)
     weights = _weights(frequency, spectra * passed, f, power)
-    spectrum = weights @ spectra
+    spectrum = weights @ spectra + 2.0 * predictor.step * predictor.least[j] ** 2 * np.abs(
+        _response(predictor.responses[j], size)) ** 2
     likelihood = 0.0
     if len(f):
         model = np.interp(f, frequency, spectrum * passed)

@@ -22,6 +22,8 @@ _REMAINDER, _REMAINDER_SHARE = 20.0, 0.01
 _FACTOR, _MARGIN = 1.3, 3.0
 #: a remainder that is this share of what the effects explain leaves no name standing
 _OVERWHELMING = 0.6
+#: deviations of its prior from which on a parameter counts as strained
+_STRAINED = 4.0
 #: lags of the whiteness plot [s]
 _LAGS = 0.5
 
@@ -61,7 +63,7 @@ def compose(analysis, errors, residuals, shapes, chance, detect, bias, spread, m
         verdict, _sentence(verdict, names, curve, errors, m), names, errors, curve, (),
         tuple(detect), next_experiment(m, ties, unseen, common["logs"][0], **analysis.source),
         bias,
-        _ranking(s, names), (*notes, *_exact_ties(names)), _drawn(analysis, residuals), model,
+        _ranking(s, names), (*notes, *_exact_ties(names), *_strained(m, s)), _drawn(analysis, residuals), model,
         parameters=_parameters(m, s), seconds=clock.perf_counter() - begin, **common)
 
 
@@ -192,6 +194,19 @@ def _exact_ties(names) -> list[str]:
     found = {e.name for e in names}
     return [f"{one} and {other} are the same in a log of voltage and position: {why}."
             for one, other, why in EXACT_TIES if one in found or other in found]
+
+
+def _strained(m, s) -> list[str]:
+    """A note on parameters that went farther than their priors allow, where there are any."""
+    far = (s.final.point.theta - m.start) / m.deviations
+    found = [(abs(x), p.name, x) for p, x in zip(m.free, far) if abs(x) > _STRAINED]
+    if not found:
+        return []
+    words = ", ".join(f"{name} by {x:+.1f}" for _, name, x in sorted(found, reverse=True)[:4])
+    more = f" and {len(found) - 4} more" if len(found) > 4 else ""
+    return [f"Parameters are farther from their start than their priors allow ({words}{more} standard "
+            "deviations): the start values are of another machine, or parameters have taken up what "
+            "looks like them, such as a payload."]
 
 
 def _parameters(m, s) -> dict:

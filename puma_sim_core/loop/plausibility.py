@@ -41,10 +41,11 @@ _FLOOR, _NOISE = 2.0, 0.04
 
 @dataclass(frozen=True)
 class Coarse:
-    """Slow part of a log: (n, J) voltage, position, velocity, acceleration, and enable from 0.0
-    to 1.0; step [s]."""
+    """Slow part of a log: (n, J) voltage and its change by time, position, velocity, acceleration,
+    and enable from 0.0 to 1.0; step [s]."""
 
     voltage: np.ndarray
+    voltage_rate: np.ndarray
     position: np.ndarray
     velocity: np.ndarray
     acceleration: np.ndarray
@@ -63,6 +64,7 @@ class Coarse:
         p = slice(None) if positions is None else list(positions)
         v = slice(None) if voltages is None else list(voltages)
         return replace(self, voltage=self.voltage[:, v] * volts,
+                       voltage_rate=self.voltage_rate[:, v] * volts / clock,
                        position=self.position[:, p] * scale + offset,
                        velocity=self.velocity[:, p] * scale / clock,
                        acceleration=self.acceleration[:, p] * scale / clock ** 2)
@@ -72,7 +74,8 @@ class Coarse:
         every = max(1, len(self.voltage) // rows)
         return replace(self, step=self.step * every,
                        **{name: getattr(self, name)[::every] for name in
-                          ("voltage", "position", "velocity", "acceleration", "enable")})
+                          ("voltage", "voltage_rate", "position", "velocity", "acceleration",
+                           "enable")})
 
 
 def coarse(log, cutoff: float = _CUTOFF) -> Coarse | None:
@@ -90,13 +93,14 @@ def coarse(log, cutoff: float = _CUTOFF) -> Coarse | None:
     def even(values):
         return np.column_stack([np.interp(at, log.time, column) for column in values.T])
 
-    volts, enable = (filters.low_pass(even(values), step, cutoff)[0]
-                     for values in (np.where(enable > 0.5, log.voltage, 0.0), enable))
+    volts, rate = filters.low_pass(even(np.where(enable > 0.5, log.voltage, 0.0)), step, cutoff,
+                                   (0, 1))
+    enable, = filters.low_pass(even(enable), step, cutoff)
     q, qd, qdd = filters.low_pass(even(log.position), step, cutoff, (0, 1, 2))
     margin = int(0.5 * filters.edge(cutoff) / step)
     every = max(1, int(0.15 / (cutoff * step)), (n - 2 * margin) // _ROWS)
     rows = slice(margin, n - margin, every)
-    return Coarse(volts[rows], q[rows], qd[rows], qdd[rows], enable[rows], step * every)
+    return Coarse(volts[rows], rate[rows], q[rows], qd[rows], qdd[rows], enable[rows], step * every)
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ from ..simulator import Simulator
 from ..restart import driven_current, local_motion, tell_past, true_start
 from ..tracking import Tracked, innovations
 from . import filters
+from .windows import stable_step
 
 #: time at the start of a log that the observer is given to settle [s]
 SETTLING = 0.12
@@ -37,6 +38,13 @@ _DIRECT = 64
 _STEP = 1.2e-3
 #: least noise of the voltage [V] and greatest share of the gain's bandwidth
 _LEAST_VOLTS = 2e-3
+#: noise that a row's voltage has at least, in volts of a middling friction torque: a log without
+#: any must not make the last digits of a fit, or of an integration, into effects
+_LEAST_ROW = 2e-3
+#: least noise of a position, as a share of the deviation of its prediction
+_LEAST_SENSED = 0.3
+#: poses at which inertia is looked at, and the least of it as a share of that at the start
+_POSES, _LEAST_INERTIA = 64, 0.1
 #: step of a finite difference, as a share of the deviation of a parameter of the mechanism and of
 #: the size of a parameter of an effect
 _DIFFERENCE, _EFFECT_DIFFERENCE = 0.05, 0.01
@@ -108,6 +116,23 @@ class Predictor:
         #: noise of a row's voltage that the gain is made for [V]
         self.volts = np.maximum(volts, _LEAST_VOLTS)
         self.gain = self._gain(self.volts, np.maximum(noise, 1e-9), step)
+        low, high = np.array([[max(a, -4.0), min(b, 4.0)] for a, b in mechanism.ranges]).T
+        self.poses = low + (high - low) * np.random.default_rng(0).random((_POSES, len(low)))
+        self.inertia_at_start = self._least_inertia(mechanism.start)
+        #: noise of a row's voltage that there is at least [V]
+        self.least = _LEAST_ROW * (mechanism.drive(mechanism.start).volts_per_torque
+                                   * np.asarray(mechanism.torque_scale, dtype=float))
+
+    def feasible(self, theta: np.ndarray) -> bool:
+        """Whether the inertia matrix is positive definite throughout the ranges of the joints: what
+        is missing may pull parameters to where it is not, and no such machine moves."""
+        return self._least_inertia(theta) > _LEAST_INERTIA * self.inertia_at_start
+
+    def _least_inertia(self, theta) -> float:
+        """Least eigenvalue of the inertia matrix with the motors' [kg m^2 or kg]."""
+        D = self.mechanism.inertia_matrix(theta, self.poses)
+        D = D + np.diag(self.mechanism.drive(theta).motor_inertia)
+        return float(np.linalg.eigvalsh(D).min())
 
     def _stretch(self, log, held) -> Stretch:
         first = int(np.searchsorted(log.time, log.time[0] + 0.03))
@@ -156,12 +181,18 @@ class Predictor:
             C = np.zeros((1, n))
             C[0, 0] = 1.0
             Q = G @ G.T * volts[j] ** 2 + np.diag([1e-18, 1e-12, 1e-12][:n])
-            P = solve_discrete_are(F.T, C.T, Q, np.array([[noise[j] ** 2]]))
-            gain = (P @ C.T / (P[0, 0] + noise[j] ** 2)).ravel()
+            R = noise[j] ** 2
+            P = solve_discrete_are(F.T, C.T, Q, np.array([[R]]))
+            if R < _LEAST_SENSED ** 2 * P[0, 0]:
+                # positions without noise would be followed so closely that the error of the start
+                # rings for a second
+                R = _LEAST_SENSED ** 2 * P[0, 0]
+                P = solve_discrete_are(F.T, C.T, Q, np.array([[R]]))
+            gain = (P @ C.T / (P[0, 0] + R)).ravel()
             current = gain[2] / self._resistance(j) if n == 3 else 0.0
             gains.append([gain[0], gain[1], current])
             self.responses.append(_response(F, G, C, gain))
-            self.spread.append(float(np.sqrt(P[0, 0] + noise[j] ** 2)))
+            self.spread.append(float(np.sqrt(P[0, 0] + R)))
         return np.array(gains)
 
     def _resistance(self, joint: int) -> float:
@@ -177,7 +208,7 @@ class Predictor:
         """What the observer makes of each log; raises NonFiniteStateError."""
         parts = []
         for s in self.stretches:
-            simulator = Simulator(plant, max_step=_STEP)
+            simulator = Simulator(plant, max_step=stable_step(plant, _STEP))
             position, velocity = true_start(plant, s.motion[0], s.motion[1], s.motion[2])
             current = driven_current(plant, s.time, s.voltage, 0, velocity, s.motion[2])
             if s.enable is not None:
@@ -253,7 +284,8 @@ class Predictor:
             both = rows[1:, j] & rows[:-1, j]
             change = np.diff(errors[:, j])[both]
             scale[j] = 1.4826 * np.median(np.abs(change)) / np.sqrt(2.0) if len(change) else 1.0
-            scale[j] = max(scale[j], 0.3 * float(np.std(change)) / np.sqrt(2.0), 1e-15)
+            scale[j] = max(scale[j], 0.3 * float(np.std(change)) / np.sqrt(2.0),
+                           self.least[j] * float(np.linalg.norm(self.responses[j])), 1e-15)
         return Weighting(filters, scale, self.lengths)
 
 
@@ -370,7 +402,7 @@ class PredictionFit:
             gradient = full.T @ errors[self.rows] + np.concatenate([position, np.zeros(c)])
             step = -cho_solve(cho_factor(normal, lower=True), gradient)
             gained = 0.0
-            for share in (1.0, 0.4, 0.12):
+            for share in (1.0, 0.5, 0.25, 0.1):
                 moved = self._step(point, share * step, pairs, sizes)
                 trial = None if moved is None else self.errors(moved)
                 if trial is None:
@@ -393,6 +425,8 @@ class PredictionFit:
         m = self.mechanism
         p = len(point.theta)
         theta = m.clip(point.theta + step[:p] * m.deviations)
+        if not self.predictor.feasible(theta):
+            return None
         effects = point.effects
         for (number, name), change, size in zip(pairs, step[p:], sizes):
             value = effects[number].values[name] + float(np.clip(change, -1.5, 1.5)) * size

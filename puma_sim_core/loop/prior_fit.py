@@ -18,9 +18,9 @@ from .plausibility import Coarse, Plausibility
 #: the joint's own, and each so long [s] as one independent value
 _NOISE, _SHARE, _CORRELATED = 0.05, 0.007, 0.4
 #: widths: offset, dry friction and spring in volts of a middling friction, load friction, drag as a
-#: share of the speed's volts, load [kg] at a lever [m], tilt [rad]
-_OFFSET, _DRY, _SPRING, _LOADED, _DRAG, _LOAD, _LEVER, _TILT = (
-    1.5, 2.0, 1.5, 0.15, 0.08, 3.0, 0.4, 0.07)
+#: share of the speed's volts, load [kg] at a lever [m], tilt [rad], delay or lag of a sensor [s]
+_OFFSET, _DRY, _SPRING, _LOADED, _DRAG, _LOAD, _LEVER, _TILT, _LAG = (
+    1.5, 2.0, 1.5, 0.15, 0.08, 3.0, 0.4, 0.07, 8e-3)
 #: widths of the step of dry friction, as shares of the greatest speed
 _DRY_WIDTHS = (0.015, 0.08)
 
@@ -66,7 +66,9 @@ class PriorFit:
                 np.full(len(v), _OFFSET * unit), *(_DRY * unit * step for step in steps),
                 _SPRING * unit * (part - part.mean()) / max(float(np.ptp(part)), 1e-9),
                 _LOADED * np.abs(weight[rows, j]) * steps[0],
-                _DRAG * model.speed[j] * v * np.abs(v) / fastest])
+                _DRAG * model.speed[j] * v * np.abs(v) / fastest,
+                # the motion that is read is that of voltages some milliseconds before
+                _LAG * c.voltage_rate[rows, j]])
             block = np.zeros((len(v), c.joints * own.shape[1]))
             block[:, j * own.shape[1]:(j + 1) * own.shape[1]] = own
             # rows closer than the correlation time share one value's weight

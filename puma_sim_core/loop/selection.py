@@ -21,7 +21,7 @@ from .causal import CausalScreen
 from .evidence import Scored
 from .prediction import Fitted, Point, PredictionFit, Predictor, Weighting
 from .search import Search
-from .trials import Trial, Trials
+from .trials import TWO_MASSES, Trial, Trials
 
 #: most effects that are added
 MOST_EFFECTS = 4
@@ -36,13 +36,21 @@ LEAST_SHARE = 0.015
 LEAST_FURTHER, LEAST_UNTRIED = 12.0, 20.0
 #: hypotheses of a short list, slow and fast, and their least gain in the screening
 _SLOW, _FAST, _LEAST_SCREENED = 8, 4, 2.0
-#: for how many of the best in the screening all derivatives are taken anew where a fit does not keep
-#: what was promised
-_AGAIN = 5
+#: for how many of the best in the screening, and from which share of the best gain there on, all
+#: derivatives are taken anew where a fit does not keep what was promised
+_AGAIN, _WORTH_MORE = 4, 0.03
 #: gain [nat] that a kind must be better by than one that it contains, and than one it replaces
 PARSIMONY, SWAP = 2.5, 3.0
-#: most times that the final model's derivatives are taken anew
-_REFITS = 4
+#: most times that derivatives are taken anew, at the end and within a stage
+_REFITS, _STAGE_REFITS = 4, 2
+#: gain [nat] of new derivatives below which the model that gains are over counts as fitted: a base
+#: that is not lends its gain to whatever is tried first
+_FINISHED = 2.0
+#: share of the squared voltages held out that a model by the noise before may leave of those by the
+#: noise after it, to be preferred
+_BETTER = 0.97
+#: share of a gain to which fits are exact at best: it counts in a log without noise
+_EXACT = 1e-4
 #: least share of the best gain of what is named in place of the best
 _GIVING_WAY = 0.4
 
@@ -142,17 +150,46 @@ class Selection:
         """The final fit of what was chosen, with derivatives about itself."""
         fit = PredictionFit(self.predictor, weighting)
         pairs = self.trials.free(point, keys)
-        known = fit.white(fit.derivatives(point, pairs))
-        # without any effect the retuned model is the final one
-        final = fit.run(point, (), known=known, known_free=pairs, rounds=4 if keys else 0)
-        for _ in range(_REFITS if keys else 0):
-            before = final.objective
-            known = fit.white(fit.derivatives(final.point, pairs))
-            final = fit.run(final.point, (), known=known, known_free=pairs, rounds=4)
-            if before - final.objective < 0.5:
-                break
+        final, _ = self._exact(fit, point, pairs, gain=0.5, times=_REFITS)
         final = replace(final, jacobian=fit.white(fit.derivatives(final.point, pairs)))
+        if not keys:
+            # without any effect the retuned model is the final one
+            retuned = final
         return Selected(retuned, final, keys, stages, weighting, prices)
+
+    def _exact(self, fit, point, pairs, raw=None, gain: float = _FINISHED,
+               times: int = _STAGE_REFITS):
+        """The fit from a model on, with the raw derivatives about it: taken anew until they gain
+        no more than so much [nat]. raw : derivatives to begin with."""
+        if raw is None:
+            raw = fit.derivatives(point, pairs)
+        fitted = fit.run(point, (), known=fit.white(raw), known_free=pairs)
+        for _ in range(times):
+            before = fitted.objective
+            raw = fit.derivatives(fitted.point, pairs)
+            fitted = fit.run(fitted.point, (), known=fit.white(raw), known_free=pairs)
+            if before - fitted.objective < gain:
+                break
+        return fitted, raw
+
+    def _rebased(self, fit, base: Fitted, raw, known_free, trials):
+        """Base, its raw derivatives and trials, over the base that the trials' parameters lead to:
+        what they gain without the effects that were tried is no gain of those."""
+        found = []
+        for t in trials:
+            if t.fitted is not None:
+                point = Point(t.fitted.point.theta, t.fitted.point.effects[:-1])
+                errors = fit.errors(point)
+                if errors is not None:
+                    found.append((fit.objective(errors, point.theta), len(found), point))
+        if not found or min(found)[0] >= base.objective:
+            return base, raw, trials
+        anew, raw = self._exact(fit, min(found)[2], known_free)
+        less = base.objective - anew.objective
+        return anew, raw, [t if t.fitted is None else
+                           replace(t, gain=t.gain - less,
+                                   held_gain=self.trials.held_gain(fit, anew, t.fitted, t.gain))
+                           for t in trials]
 
     # one stage
 
@@ -160,25 +197,35 @@ class Selection:
         """Screen, and try the short list."""
         fit = PredictionFit(self.predictor, weighting)
         known_free = self.trials.free(point, keys)
-        raw = fit.derivatives(point, known_free)
+        base, raw = self._exact(fit, point, known_free)
         known = fit.white(raw)
-        base = fit.run(point, (), known=known, known_free=known_free)
         causal = CausalScreen(fit, base.point, base.errors, known, self.problem)
         slow = self._slow(keys, base)
         fast = self._fast(causal, keys)
         short = _joined(slow[:_SLOW], fast[:_FAST])
-        far = {id(s) for s in sorted(short, key=lambda s: -s.gain)[:_AGAIN]}
+        top = max((s.gain for s in short), default=0.0)
+        # a model of two masses a joint takes some ten times as long
+        most = 1 if any(name in TWO_MASSES for name, _ in keys) else _AGAIN
+        far = {id(s) for s in sorted(short, key=lambda s: -s.gain)[:most]
+               if s.gain > max(LEAST_GAIN, _WORTH_MORE * top)}
         trials = [self.trials.run(fit, base, known, known_free, s, again=id(s) in far)
                   for s in short]
+        base, raw, trials = self._rebased(fit, base, raw, known_free, trials)
         # gains are those in the noise that the best explanation of each joint leaves
+        before = fit, base, raw, trials
         weighting = self._noise(base, trials)
         fit = PredictionFit(self.predictor, weighting)
+        base, raw = self._exact(fit, base.point, known_free, raw)
         known = fit.white(raw)
-        base = fit.run(base.point, (), known=known, known_free=known_free)
         trials = [t if t.fitted is None else
                   self.trials.run(fit, base, known, known_free, s, t.fitted.point)
                   for s, t in zip(short, trials)]
+        if self._held_volts(*before) < _BETTER * self._held_volts(fit, base, raw, trials):
+            # what no effect explains was taken for noise, and the fit has moved away from it
+            fit, base, raw, trials = before
+            weighting = fit.weighting
         trials = self.trials.polished(fit, base, known_free, short, trials)
+        base, raw, trials = self._rebased(fit, base, raw, known_free, trials)
         best = max((t for t in trials if t.problem is None), key=lambda t: t.gain, default=None)
         trials.sort(key=lambda t: -t.gain)
         chance = 0.0
@@ -198,6 +245,15 @@ class Selection:
             accepted = self._parsimonious(passing[0], passing) if passing else None
         screened = sorted(slow + fast, key=lambda s: -s.gain)
         return Stage(trials, threshold, base, screened, weighting, accepted, chance)
+
+    def _held_volts(self, fit, base: Fitted, raw, trials) -> float:
+        """Sum of squares, in units of each joint's noise, of the voltages that the best model of a
+        pass lacks at the rows kept back."""
+        best = max((t for t in trials if t.problem is None), key=lambda t: t.gain, default=None)
+        point = base.point if best is None or best.gain < 0.0 else best.fitted.point
+        volts = self.predictor.in_volts(self._raw(point), self.problem.sampled.cutoffs[1])
+        held = self.predictor.held_rows
+        return float(((volts / self.predictor.volts)[held] ** 2).sum())
 
     def _noise(self, base: Fitted, trials) -> Weighting:
         """The weighting by what is left of each joint after the model that explains it best. One
@@ -294,7 +350,8 @@ class Selection:
     def _parsimonious(self, best: Trial, trials) -> Trial:
         contained = self.library[best.name].screening.contains
         simpler = [t for t in trials if t.problem is None and t.joint == best.joint
-                   and t.name in contained and t.gain > best.gain - PARSIMONY]
+                   and t.name in contained
+                   and t.gain > best.gain - max(PARSIMONY, _EXACT * best.gain)]
         return max(simpler, key=lambda t: t.gain) if simpler else best
 
     def _rivals(self, stages, key, keys) -> list[Trial]:

@@ -148,7 +148,7 @@ class Curve:
 
     scored: Scored
     axis: Axis | None
-    pairs: list
+    pairs: list | _Lines
 
 
 def curves(causal, position_unit: str = "rad") -> list[Curve]:
@@ -213,18 +213,34 @@ def _pair(height, grid) -> Candidate:
     return Candidate((), VOLTAGE_COLUMN, np.zeros(2), np.full(2, height), _free, grid)
 
 
-def _time_lines(causal, j, height) -> list:
+def _time_lines(causal, j, height) -> _Lines:
     time = causal.block_times(j)
     length = time.max() - time.min()
     top = causal.problem.sampled.cutoffs[1]
     frequencies = np.arange(_LEAST_PERIODS / length, _TOP_LINE * top, 1.0 / (_LINES * length))
-    gains = causal.response(j, frequencies)
-    pairs = []
-    for f, gain in zip(frequencies, gains):
-        phase = 2.0 * np.pi * f * time + np.angle(gain)
-        columns = abs(gain) * np.column_stack([np.sin(phase), np.cos(phase)])
-        pairs.append((_pair(height, {"frequency": float(f)}), {j: columns}))
-    return pairs
+    return _Lines(j, time, causal.response(j, frequencies), frequencies,
+                  [_pair(height, {"frequency": float(f)}) for f in frequencies])
+
+
+@dataclass(frozen=True)
+class _Lines:
+    """(candidate, its columns) of each line in time. Their number grows with the length of the log,
+    as does a column: all at once they would take gigabytes."""
+
+    joint: int
+    time: np.ndarray
+    gains: np.ndarray
+    frequencies: np.ndarray
+    candidates: list
+
+    def __len__(self) -> int:
+        return len(self.candidates)
+
+    def __iter__(self):
+        for candidate, f, gain in zip(self.candidates, self.frequencies, self.gains):
+            phase = 2.0 * np.pi * f * self.time + np.angle(gain)
+            yield candidate, {self.joint: abs(gain) * np.column_stack([np.sin(phase),
+                                                                       np.cos(phase)])}
 
 
 def _angle_lines(causal, j, height) -> list:

@@ -16,8 +16,9 @@ from ..errors import ParameterError
 from .evidence import Scored
 from .prediction import Fitted, Point, PredictionFit
 
-#: least price [nat] of a coefficient
-_LEAST_PRICE = 1.5
+#: least and greatest price [nat] of a coefficient: what a screening promised is no measure of it
+#: where the fit then goes far from there
+_LEAST_PRICE, _MOST_PRICE = 1.5, 6.0
 #: a tie: gains closer than this [nat], or than this share of the better one
 TIE_NATS, TIE_SHARE = 8.0, 0.003
 #: share of its screened gain that a fit must reach, else all derivatives are taken anew
@@ -30,9 +31,11 @@ _STARTS = (0.7, 0.8, 0.87, 0.94, 1.0, 1.07, 1.15, 1.3)
 #: change [nat] of the rows kept back, and share of the gain, below which an effect does not act on them
 _UNTOUCHED, _UNTOUCHED_SHARE = 1.5, 0.03
 #: parameters that a screening gives and a fit leaves alone
-STRUCTURAL = frozenset({"motor_share", "order", "ratio"})
+STRUCTURAL = frozenset({"motor_share", "order", "ratio", "transmitted"})
 _STRUCTURAL_OF = {"payload": {"y"}, "backlash": STRUCTURAL | {"stiffness", "damping"},
                   "transmission_error": set()}
+#: effects that give a joint two masses
+TWO_MASSES = frozenset({"backlash", "joint_elasticity"})
 _IMPOSSIBLE = "it would need an impossible value"
 #: stiffnesses of which more means less of an effect
 _LESS_WHEN_STIFFER = {("joint_elasticity", "stiffness"), ("presliding_friction", "stiffness")}
@@ -100,9 +103,11 @@ class Trials:
             # a model without the effect may have stretched its parameters so far that they, or
             # derivatives about them, are of no use to the model with it
             starts = [Point(self.mechanism.start, start.effects)]
-            if fitted is not None:
+            if fitted is not None and scored.entry is not None and scored.entry.candidate.fixed:
                 starts.append(fitted.point)
-            found = [fitted, *(fit.run(at, (*known_free, *free), rounds=4) for at in starts)]
+            rounds = 2 if scored.name in TWO_MASSES else 3
+            found = [fitted, *(fit.run(at, (*known_free, *free), rounds=rounds)
+                               for at in starts)]
             fitted = min((f for f in found if f is not None), key=lambda f: f.objective,
                          default=None)
         if fitted is None:
@@ -113,12 +118,17 @@ class Trials:
     def _judged(self, fit, base: Fitted, scored: Scored, fitted: Fitted) -> Trial:
         price = _price(scored)
         gain = base.objective - fitted.objective - price
+        return Trial(scored.name, scored.joint, gain, self.held_gain(fit, base, fitted, gain),
+                     fitted, price, self.implausible(fitted.point.effects[-1]))
+
+    @staticmethod
+    def held_gain(fit, base: Fitted, fitted: Fitted, gain: float) -> float:
+        """Gain [nat] on the rows kept back; `_UNTOUCHED` of an effect that does not act there."""
         held = fit.held_sum(base.errors) - fit.held_sum(fitted.errors)
         if fit.held_sum(base.errors - fitted.errors) < max(_UNTOUCHED, _UNTOUCHED_SHARE * gain):
             # a limit that was met, or a blow that fell, elsewhere: nothing is said against it here
             held = _UNTOUCHED
-        return Trial(scored.name, scored.joint, gain, held, fitted, price,
-                     self.implausible(fitted.point.effects[-1]))
+        return held
 
     def _best_start(self, fit, base: Fitted, effect: Effect, name: str) -> Effect:
         """The effect with the value of a threshold or a stiffness that fits best of a few: it acts
@@ -202,7 +212,8 @@ class Trials:
 
 def _price(scored: Scored) -> float:
     """What the free coefficients of a hypothesis cost [nat]."""
-    return max(scored.price, _LEAST_PRICE * len(scored.values))
+    count = len(scored.values)
+    return min(max(scored.price, _LEAST_PRICE * count), _MOST_PRICE * count)
 
 
 def tied(best: Trial, other: Trial) -> bool:

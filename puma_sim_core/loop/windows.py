@@ -21,6 +21,8 @@ from ..simulator import Simulator
 #: greatest step of integration [s]: a row of 1 ms is one step. RK4 is stable up to 8.4 ms, and its
 #: error at 1 ms is far below any sensor's noise
 WINDOW_STEP = 1.2e-3
+#: explicit steps of integration stay below so many time constants of a winding
+_STABLE = 2.0
 #: greatest error that a row counts with, and that of a window whose simulated state did not stay
 #: finite [rad or m]
 FAR_OFF = 1e3
@@ -138,7 +140,7 @@ def run_windows(plant: Plant, windows: Windows, *, max_step: float = WINDOW_STEP
         raise ParameterError(f"a plant of {plant.joints} joints with a log of "
                              f"{windows.position.shape[1]}", where="windows",
                              expected="as many joints as the log has")
-    simulator = Simulator(plant, max_step=max_step)
+    simulator = Simulator(plant, max_step=stable_step(plant, max_step))
     predicted, errors, before = [], [], -1
     for k, (first, last) in enumerate(zip(windows.starts.tolist(), windows.ends.tolist())):
         _restart(simulator, windows, k, first, keep=first == before)
@@ -150,6 +152,13 @@ def run_windows(plant: Plant, windows: Windows, *, max_step: float = WINDOW_STEP
         errors.append(np.clip(error, -FAR_OFF, FAR_OFF))
         before = last
     return WindowRun(predicted, np.concatenate(errors))
+
+
+def stable_step(plant: Plant, at_most: float) -> float:
+    """Step of integration [s] at which a plant's windings are stable: a fit may make them quick."""
+    lags = [m.inductance / m.resistance for m in plant.arm.motors[3 - plant.joints:]
+            if m.inductance > 0.0]
+    return min([at_most, *(_STABLE * lag for lag in lags)])
 
 
 def _restart(simulator: Simulator, windows: Windows, k: int, row: int, keep: bool) -> None:

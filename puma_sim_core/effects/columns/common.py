@@ -48,6 +48,27 @@ def torque_volts(signals: Signals, joint: int, torque: np.ndarray) -> np.ndarray
     return signals.volts_per_torque[joint] * volts
 
 
+def motor_torque(signals: Signals, joint: int) -> np.ndarray:
+    """Torque (n,) [N.m] that a motor gives at its joint after its viscous friction, by its voltage.
+
+    Unlike what the model says that the motion takes, it holds all friction that acts, also that
+    which the model lacks.
+    """
+    w = signals.velocity[:, joint]
+    driven = (signals.voltage[:, joint] - signals.enable[:, joint] * signals.emf[joint] * w
+              ) / signals.volts_per_torque[joint]
+    lag = float(signals.lag[joint])
+    if lag > 0.0:
+        kept = np.full(len(driven), np.exp(-signals.step / lag))
+        out = np.empty_like(driven)
+        for part in stretches(signals):
+            now = driven[part]
+            mean = 0.5 * (now + np.concatenate([now[:1], now[:-1]]))
+            out[part] = recursion(kept[part], (1.0 - kept[part]) * mean, float(now[0]))
+        driven = out
+    return driven - signals.viscous[joint] * w
+
+
 def volt_scale(signals: Signals, joint: int) -> float:
     """Voltage [V] of a middling friction torque, the unit of priors of voltages."""
     return float(signals.volts_per_torque[joint] * signals.torque_scale[joint])

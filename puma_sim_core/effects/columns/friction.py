@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..screening import TORQUE_COLUMN, Candidate, Illegal, Screening, Signals
-from .common import (candidate, fastest, is_arm, moves, on_joint, positive, recursion,
+from .common import (candidate, fastest, is_arm, motor_torque, moves, on_joint, positive, recursion,
                      smooth_sign, stretches, warming)
 
 #: more times the middling friction torque than any friction of a machine
@@ -19,6 +19,8 @@ _YIELD_DEFLECTIONS = np.geomspace(1e-4, 3e-3, 9)
 _MOST_WARMED = 0.9
 #: greatest share of the load that a gear takes
 _GREATEST_COEFFICIENT = 0.5
+#: what the load of a gear may be: the weight alone, or the torque that it transmits
+_TRANSMITTED = (0.0, 1.0)
 
 
 def _direction(signals: Signals, joint: int) -> np.ndarray:
@@ -123,16 +125,32 @@ def bristle(signals: Signals, joint: int, yield_deflection: float) -> np.ndarray
 
 
 def load_dependent(signals: Signals, joint: int) -> list[Candidate]:
-    """|G| sgn(qd); the coefficient is mu."""
-    load = np.abs(signals.gravity_torque[:, joint])
-    if not moves(signals, joint) or load.max() < 0.02 * signals.torque_scale[joint]:
+    """|load| sgn(qd), the load the torque of gravity or of the motor; the coefficient is mu."""
+    if not moves(signals, joint):
         return []
+    direction, found = _direction(signals, joint), []
+    # small servos have gears that pass on less than half
+    most = _GREATEST_COEFFICIENT if is_arm(signals) else 1.0
+    for share in _TRANSMITTED:
+        load = transmitted_load(signals, joint, share)
+        if np.abs(load).max() < 0.02 * signals.torque_scale[joint]:
+            continue
 
-    def values(c):
-        return {"coefficient": positive(c[0], "coefficient of load friction", "",
-                                        _GREATEST_COEFFICIENT)}
+        def values(c, share=share):
+            return {"coefficient": positive(c[0], "coefficient of load friction", "", most),
+                    "transmitted": share}
 
-    return [candidate(on_joint(joint, load * _direction(signals, joint)), [0.1], [0.1], values)]
+        found.append(candidate(on_joint(joint, np.abs(load) * direction), [0.1], [0.1], values,
+                               {"transmitted": share}))
+    return found
+
+
+def transmitted_load(signals: Signals, joint: int, share: float) -> np.ndarray:
+    """Load (n,) [N.m] of a joint's gear: `share` of the motor's torque, the rest gravity's."""
+    gravity = signals.gravity_torque[:, joint]
+    if share == 0.0:
+        return gravity
+    return gravity + share * (motor_torque(signals, joint) - gravity)
 
 
 def position_dependent(signals: Signals, joint: int) -> list[Candidate]:
@@ -198,7 +216,7 @@ SCREENINGS = {
             ("stribeck_friction", "Coulomb friction is flat in the speed, without a bump at low "
                                   "speed"),
             ("asymmetric_coulomb_friction", "the step has the same height in both directions"),
-            ("load_dependent_friction", "the step does not change with the load of gravity"),
+            ("load_dependent_friction", "the step does not change with the load"),
             ("position_dependent_friction", "the step does not change with the position"),
             ("presliding_friction", "the step is sharp in position, without a hysteresis loop at "
                                     "the reversal"),
@@ -253,18 +271,20 @@ SCREENINGS = {
     "load_dependent_friction": Screening(
         load_dependent,
         look_alikes=(
-            ("position_dependent_friction", "the step follows the torque of gravity, which other "
-                                            "joints change too, not the joint's own position"),
-            ("coulomb_friction", "the step vanishes where gravity does"),
+            ("position_dependent_friction", "the step follows the torque that the gear bears, "
+                                            "which other joints and accelerations change "
+                                            "too, not the joint's own position"),
+            ("coulomb_friction", "the step vanishes where the load does"),
             ("payload", "the torque changes sign with the velocity, a weight's does not")),
-        excitation="Reversals in many poses, so that gravity's torque differs between them.",
+        excitation="Reversals in many poses and at several accelerations, so that the torque that "
+                   "the gear bears differs between them.",
         plausible=(("coefficient", 0.02, 0.3),)),
     "position_dependent_friction": Screening(
         position_dependent,
         look_alikes=(
             ("load_dependent_friction", "the step follows the joint's own position, not the "
-                                        "torque of gravity; a load, or other angles of the other "
-                                        "joints, separate the two"),
+                                        "load; a weight, accelerations, or other angles of the "
+                                        "other joints, separate the two"),
             ("coulomb_friction", "the height of the step changes with the position"),
             ("sensor_nonlinearity", "the torque is a step at reversals and does not grow with "
                                     "the speed"),
