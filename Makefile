@@ -14,7 +14,7 @@ PYTHON ?=
 # a NumPy release to hold to, such as 1.26; empty: the newest that the other packages allow
 NUMPY ?=
 # the first test on a new machine waits for the whole kernel to be compiled
-TEST_TIMEOUT ?= 400
+TEST_TIMEOUT ?= 600
 PYTEST_ARGS ?=
 LOOP_ARGS ?=
 # records of make score, the seed of the first one (900000 and above), further options

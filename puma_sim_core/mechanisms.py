@@ -150,6 +150,11 @@ class Mechanism:
         """(n, J) diagonal of D."""
         raise NotImplementedError
 
+    def unit(self, unit: str) -> str:
+        """Unit of an effect's parameter on this mechanism: rad and N.m are m and N on an axis that
+        slides."""
+        return unit if self.position_unit == "rad" else unit.replace("N.m", "N").replace("rad", "m")
+
     def inertia_matrix(self, theta, q) -> np.ndarray:
         """(n, J, J) D of the links."""
         raise NotImplementedError

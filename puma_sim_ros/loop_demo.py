@@ -38,7 +38,7 @@ PERIOD, SUBSTEPS = 0.01, 10
 #: greatest share by which a parameter is off; viscous friction, and all others
 _OFF_VISCOUS, _OFF = 0.20, 0.05
 #: longest time for the motion, and for the explanation [s]
-_PATIENCE = 150.0
+_PATIENCE = 240.0
 
 
 def hide(folder: Path, effects: Sequence[Effect], seed: int) -> Path:

@@ -23,7 +23,7 @@ from puma_sim_core.batch import run_batch
 from puma_sim_core.effects import KINDS, Effect, parse_effect
 from puma_sim_core.effects.columns import SCREENINGS
 from puma_sim_core.known_effects import known_voltage
-from puma_sim_core.loop.selection import STRUCTURAL
+from puma_sim_core.loop.trials import STRUCTURAL
 from puma_sim_core.mechanisms import load_mechanism
 from puma_sim_core.one_joint import OneJoint, OneJointPlant
 from puma_sim_core.simulator import Constraint, Simulator
@@ -343,6 +343,3 @@ def test_the_explainer_names_the_load_that_made_the_log():
         assert scored.values["transmitted"] == a
         assert scored.values["coefficient"] == pytest.approx(0.15, rel=0.25)
         assert scored.gain > 50.0
-
-
-

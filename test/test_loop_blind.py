@@ -26,7 +26,7 @@ SINGLE = ("record_001004", "record_001014", "record_001015")
 PAIR, OUTSIDE = "record_001016", "record_001018"
 FAULTS = ("record_001020", "record_001021", "record_001022", "record_001023")
 #: [s] that a record may take on a machine that does much else, compilation included
-SLOW = pytest.mark.timeout(400)
+SLOW = pytest.mark.timeout(900)
 
 
 @lru_cache(maxsize=None)

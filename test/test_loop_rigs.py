@@ -19,7 +19,8 @@ from puma_sim_core.loop.ingest import read_log
 from puma_sim_core.simulator import Simulator
 
 DATA = os.environ.get("PUMA_SIM_DATA")
-pytestmark = pytest.mark.skipif(DATA is None, reason="PUMA_SIM_DATA names no folder")
+pytestmark = [pytest.mark.skipif(DATA is None, reason="PUMA_SIM_DATA names no folder"),
+              pytest.mark.long, pytest.mark.timeout(1500)]
 
 PENDULUM = {"time": "t_s", "voltage1": "motor_V", "position1": "q_rad", "enable": "torque_enable"}
 EMPS = {"time": "t_s", "voltage1": "vir_V", "position1": "q_meas_m"}

@@ -403,6 +403,8 @@ def test_the_mechanisms_of_the_house():
         assert (mechanism.deviations > 0.0).all()
         assert mechanism.plant() == mechanism.plant(mechanism.start)
     assert sizes["slide"].effort_unit == "N" and sizes["slide"].position_unit == "m"
+    assert [sizes["slide"].unit(u) for u in ("N.m", "rad", "N.m.s/rad", "V", "1")] == [
+        "N", "m", "N.s/m", "V", "1"]
 
 
 @pytest.mark.parametrize("name", NAMES)

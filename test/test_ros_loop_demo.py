@@ -22,7 +22,7 @@ from puma_sim_core.mechanisms import load_mechanism  # noqa: E402
 from puma_sim_core.plant import load_model  # noqa: E402
 from puma_sim_ros.exciting_motion import MIDDLE, expected_volts, motion  # noqa: E402
 
-pytestmark = pytest.mark.timeout(240)
+pytestmark = pytest.mark.timeout(600)
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def demonstrated(tmp_path_factory):
     variables = {name: value for name, value in environment().items()
                  if name != "PUMA_SIM_KERNEL"}
     done = subprocess.run([sys.executable, "-m", "puma_sim_ros.loop_demo", "--out", str(out)],
-                          env=variables, text=True, capture_output=True, timeout=200)
+                          env=variables, text=True, capture_output=True, timeout=500)
     assert done.returncode == 0, done.stdout + done.stderr
     return out, done.stdout
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -147,8 +147,8 @@ class Analysis:
         for name, kind in self.search.library.items():
             for j in ([None] if not kind.per_joint else range(m.joints)):
                 pairs = [(c, causal.gram(c)) for c in kind.screening.candidates(causal.signals, j)]
-                rows.append(detectable(name, None if j is None else j + 1, kind, pairs,
-                                       threshold))
+                row = detectable(name, None if j is None else j + 1, kind, pairs, threshold)
+                rows.append(replace(row, unit=m.unit(row.unit)))
         self.progress("errors", 0.96)
         points = {"nominal": Point(m.start, ()), "retuned": s.retuned.point,
                   "augmented": final.point}

@@ -72,7 +72,7 @@ def _named(analysis, spread) -> tuple[NamedEffect, ...]:
     named = []
     for number, key in enumerate(s.keys):
         effect = s.final.point.effects[number]
-        units = {p.name: p.unit for p in effect.kind.parameters}
+        units = {p.name: analysis.mechanism.unit(p.unit) for p in effect.kind.parameters}
         parameters = {}
         for name, value in effect.values.items():
             if (number, name) in spread:
@@ -143,7 +143,7 @@ def _sentence(verdict, names, curve, errors, mechanism) -> str:
                 "explains it down to its noise.")
     if verdict == UNNAMED:
         what = (f"a line at {curve.line_hz:.2f} Hz" if curve.line_hz is not None
-                else f"a curve over {curve.axis}")
+                else f"a curve over {curve.axis} {curve.way}".rstrip())
         return (f"Something is missing on joint {curve.joint} that no effect of the library "
                 f"explains: {what}.")
     parts = []

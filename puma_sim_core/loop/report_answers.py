@@ -49,7 +49,7 @@ def _what(e: Explanation) -> str:
         parts.append("<p>What differs from the model are its parameters and noise.</p>\n")
     elif e.shape is not None:
         shape = e.shape
-        words = f"follows the {text(shape.axis.replace('_', ' '))}"
+        words = f"follows the {text(shape.axis.replace('_', ' '))} {text(shape.way)}".rstrip()
         if shape.line_hz is not None:
             words = f"oscillates at {number(shape.line_hz)} Hz"
         if e.effects:

@@ -90,6 +90,10 @@ def shape_of_the_unnamed(explanation: Explanation) -> Chart | None:
                         for v in (shape.low, shape.high, shape.curve))
     colour = COLOURS["retuned"]
     words = _axis_words(shape.axis)
+    if shape.way == "with hysteresis":
+        words = f"change of the {words} since it last reversed"
+    elif shape.way:
+        words = f"{words}, {shape.way}"
     if shape.line_hz is not None:
         words += " within one period"
     if shape.axis_unit not in ("", "1"):

@@ -86,7 +86,8 @@ def _stages(errors: StageErrors) -> dict[str, Any]:
 
 
 def _shape(shape: Shape) -> dict[str, Any]:
-    return {"axis": shape.axis, "axis_unit": shape.axis_unit, "joint": shape.joint,
+    return {"axis": shape.axis, "axis_unit": shape.axis_unit, "way": shape.way,
+            "joint": shape.joint,
             "line_hz": shape.line_hz, "centre": shape.centre, "curve": shape.curve,
             "band": [[low, high] for low, high in zip(shape.low, shape.high)],
             "ranking": [{"axis": axis, "evidence": gain} for axis, gain in shape.ranking]}

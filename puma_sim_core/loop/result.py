@@ -96,7 +96,9 @@ class Shape:
     axis : "position", "velocity", "time", "voltage", "torque", "acceleration", "position of joint
     2", "motor_angle", ...; joint (1-based); centre, curve (k,): the residual [V] over the axis,
     low, high (k,): its 95 % band; line_hz: frequency of a spectral line [Hz], None without;
-    ranking: (axis, gain of log evidence) from the best on.
+    ranking: (axis, gain of log evidence) from the best on; way: how the axis acts, "" for a plain
+    curve, "with the sign of the velocity", "in fine steps", or "with hysteresis": the curve is then
+    over the change of the axis since it last reversed.
     """
 
     axis: str
@@ -108,6 +110,7 @@ class Shape:
     high: np.ndarray
     line_hz: float | None = None
     ranking: tuple[tuple[str, float], ...] = ()
+    way: str = ""
 
 
 @dataclass(frozen=True)

@@ -167,7 +167,7 @@ def curves(causal, position_unit: str = "rad") -> list[Curve]:
                 axis.columns * (height / axis.knots[-1]))
             p = columns.shape[1]
             candidate = Candidate(tuple({j: column} for column in columns.T), VOLTAGE_COLUMN,
-                                  np.zeros(p), np.full(p, height), _free, {})
+                                  np.zeros(p), np.full(p, height), _free, {"height": height})
             add(axis.name, j + 1, [(candidate, causal.columns(candidate))], axis)
         add("line", j + 1, _time_lines(causal, j, height), None)
         if signals.gear[j] > 1.0:
@@ -262,9 +262,18 @@ def describe(best: Curve, ranking) -> Shape:
     scored, axis = best.scored, best.axis
     spread = 1.96 * np.sqrt(np.diag(scored.covariance))
     heights = scored.coefficients
+    if axis is not None and axis.way == _HYSTERESIS:
+        # the branch after a reversal: each play gives way until its width is used up
+        change = np.concatenate([[0.0], axis.knots])
+        columns = scored.entry.candidate.grid["height"] / axis.knots[-1] * (
+            np.minimum(change[:, None], axis.knots) - 0.5 * axis.knots)
+        curve = columns @ heights
+        band = 1.96 * np.sqrt(np.einsum("ij,jk,ik->i", columns, scored.covariance, columns))
+        return Shape(axis.name, axis.unit, scored.joint, change, curve, curve - band, curve + band,
+                     None, ranking, axis.way)
     if axis is not None:
         return Shape(axis.name, axis.unit, scored.joint, axis.knots, heights, heights - spread,
-                     heights + spread, None, ranking)
+                     heights + spread, None, ranking, axis.way)
     phase = np.linspace(0.0, 2.0 * np.pi, 33)
     curve = heights[0] * np.sin(phase) + heights[1] * np.cos(phase)
     band = np.sqrt((np.sin(phase) * spread[0]) ** 2 + (np.cos(phase) * spread[1]) ** 2)
