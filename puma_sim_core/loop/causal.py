@@ -4,9 +4,9 @@
 
 A part x(t) of the voltage that the model lacks shows in its innovations as x through the response
 of the observer. Columns are made of the motion that the observer predicts and of voltages of
-before: of nothing that the innovation of the moment, or a controller that answers to it, has touched.
-So a delay or an elasticity gets no evidence from feedback. Innovations and columns are averaged over
-blocks of rows that are short beside anything the columns do.
+before: of nothing that the innovation of the moment, or a controller that answers to it, has
+touched. So a delay or an elasticity gets no evidence from feedback. Innovations and columns are
+averaged over blocks of rows that are short beside anything the columns do.
 """
 
 from __future__ import annotations
@@ -102,8 +102,8 @@ class CausalScreen:
         return {j: self._blocks(full, j) for j, full in self._white(candidate).items()}
 
     def left(self, candidate: Candidate | None = None, coefficients=None) -> np.ndarray:
-        """(N, J) white innovations at the rows to fit, 0 elsewhere, that a hypothesis leaves when the
-        parameters have answered to it; None: that the parameters alone leave."""
+        """(N, J) white innovations at the rows to fit, 0 elsewhere, that a hypothesis leaves when
+        the parameters have answered to it; None: that the parameters alone leave."""
         made = {} if candidate is None else {j: x @ coefficients
                                              for j, x in self._white(candidate).items()}
         pulled = self.Ny - sum(self.N[j].T @ self._blocks(x[:, None], j)[:, 0]

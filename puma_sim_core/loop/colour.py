@@ -4,8 +4,8 @@
 
 A filter that makes any innovations white would take a line, or what changes slowly, out of sight.
 Here their spectrum is that of a few physical sources as the observer passes them on: voltages and
-positions with white noise, and disturbances that last 5 to 160 ms. Weights are fitted to medians over
-bands, which a line does not move. Of that spectrum the filter is the causal one of minimum phase
+positions with white noise, and disturbances that last 5 to 160 ms. Weights are fitted to medians
+over bands, which a line does not move. The filter is the causal one of minimum phase
 (Oppenheim and Schafer, Discrete-Time Signal Processing, chapter on cepstral analysis).
 """
 
@@ -17,7 +17,8 @@ import numpy as np
 from scipy import fft
 from scipy.optimize import nnls
 
-from .prediction import Predictor, Weighting
+from .prediction import Predictor
+from .weighting import Weighting
 
 #: correlation times of disturbances [s]
 _LASTING = (0.005, 0.010, 0.020, 0.040, 0.080, 0.160)
@@ -25,6 +26,8 @@ _LASTING = (0.005, 0.010, 0.020, 0.040, 0.080, 0.160)
 _BAND, _SHARE, _LEAST_LINES = 1.0, 0.15, 6
 #: shortest stretch of rows that gives a periodogram [s]
 _SHORTEST = 0.3
+#: steps of a fit of weights
+_STEPS = 300
 #: longest filter [s]
 _LONGEST = 1.5
 #: share of the lines of a tapered periodogram that are independent, and what a line that stands out
@@ -86,7 +89,7 @@ def _sources(predictor, j, frequency) -> np.ndarray:
     response = predictor.responses[j]
     passed = np.abs(_response(response, 2 * (len(frequency) - 1))) ** 2
     white = np.full(len(frequency), 2.0 * step)
-    # with both noises as reckoned with, innovations are white: what the voltage leaves is the sensor
+    # with both noises as reckoned with, innovations are white: the voltage leaves the sensor's
     volts = white * passed
     known = white * predictor.spread[j] ** 2
     sensor = np.maximum(known - predictor.volts[j] ** 2 * volts, 1e-3 * known)
@@ -145,7 +148,10 @@ def _weights(frequency, spectra, f, power) -> np.ndarray:
     model = measured
     weights = only
     for _ in range(12):
-        weights, _ = nnls(design / model[:, None], measured / model)
+        try:
+            weights, _ = nnls(design / model[:, None], measured / model, maxiter=_STEPS)
+        except RuntimeError:  # sources that are nearly the same: the weights of before will do
+            break
         model = np.maximum(0.5 * model + 0.5 * design @ weights, 1e-6 * measured)
     return weights if weights.any() else only + measured.mean() / len(only)
 

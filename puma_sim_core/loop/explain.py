@@ -163,8 +163,8 @@ class Analysis:
         linear = p.linear(final.point.theta, final.point.effects)
         bias = feedback.test(p, self.search.settle(linear, ()))
         spread = intervals.intervals(fit, final)
-        return outcome.compose(self, errors, residuals, shapes, chance, rows, bias, spread, model, notes,
-                               begin, common)
+        return outcome.compose(self, errors, residuals, shapes, chance, rows, bias, spread, model,
+                               notes, begin, common)
 
 
     def _shapes(self, final) -> tuple[list, float]:
@@ -245,7 +245,7 @@ def _held(problem: Problem, number: int):
 
 
 def _row_noise(search: Search, fit) -> np.ndarray:
-    """(J,) standard deviation [V] of the noise of one row's voltage, without what may be an effect."""
+    """(J,) standard deviation [V] of a row's voltage noise, without what may be an effect."""
     m = search.problem.mechanism
     drive = m.drive(m.start)
     unit = drive.volts_per_torque * np.asarray(m.torque_scale)

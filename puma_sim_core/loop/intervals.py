@@ -2,11 +2,11 @@
 # Copyright the puma-sim contributors
 """Confidence intervals that hold: a sandwich about the last step, and profiles (step 8).
 
-Where the model is not exact its innovations are not quite independent, and the inverse of the normal
-matrix is too narrow. The sandwich takes the scores' own covariance, over lags up to a third of a
-second (Newey and West 1987, Econometrica 55:703). Limits and gaps are not seen by any slope: each
-parameter is also moved to both sides, with all others fitted again, until the likelihood has fallen by
-what its variance in the sandwich asks for. The widest counts.
+Where the model is not exact its innovations are not quite independent, and the inverse of the
+normal matrix is too narrow. The sandwich takes the scores' own covariance, over lags up to a third
+of a second (Newey and West 1987, Econometrica 55:703). Limits and gaps are not seen by any slope:
+each parameter is also moved to both sides, with all others fitted again, until the likelihood has
+fallen by what its variance in the sandwich asks for. The widest counts.
 """
 
 from __future__ import annotations

@@ -63,7 +63,8 @@ def compose(analysis, errors, residuals, shapes, chance, detect, bias, spread, m
         verdict, _sentence(verdict, names, curve, errors, m), names, errors, curve, (),
         tuple(detect), next_experiment(m, ties, unseen, common["logs"][0], **analysis.source),
         bias,
-        _ranking(s, names), (*notes, *_exact_ties(names), *_strained(m, s)), _drawn(analysis, residuals), model,
+        _ranking(s, names), (*notes, *_exact_ties(names), *_strained(m, s)),
+        _drawn(analysis, residuals), model,
         parameters=_parameters(m, s), seconds=clock.perf_counter() - begin, **common)
 
 
@@ -204,9 +205,9 @@ def _strained(m, s) -> list[str]:
         return []
     words = ", ".join(f"{name} by {x:+.1f}" for _, name, x in sorted(found, reverse=True)[:4])
     more = f" and {len(found) - 4} more" if len(found) > 4 else ""
-    return [f"Parameters are farther from their start than their priors allow ({words}{more} standard "
-            "deviations): the start values are of another machine, or parameters have taken up what "
-            "looks like them, such as a payload."]
+    return [f"Parameters are farther from their start than their priors allow ({words}{more} "
+            "standard deviations): the start values are of another machine, or parameters have "
+            "taken up what looks like them, such as a payload."]
 
 
 def _parameters(m, s) -> dict:

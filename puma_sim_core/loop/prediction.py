@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""Prediction errors: the model led along the log, its parameters fitted to the innovations (step 6).
+"""Prediction errors: the model led along the log, its parameters fitted to innovations (step 6).
 
 What the screening reads from filtered motion is quick and linear, and not exact: friction about a
 reversal is blurred, and accelerations carry noise that feedback has sent through the voltage. Here
@@ -19,21 +19,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import fft
 from scipy.linalg import cho_factor, cho_solve, expm, solve_discrete_are
-from scipy.signal import lfilter, oaconvolve
 
 from ..effects import Effect
 from ..errors import NonFiniteStateError, ParameterError
 from ..plant import Plant
 from ..simulator import Simulator
-from ..restart import driven_current, local_motion, tell_past, true_start
+from ..restart import driven_current, local_motion, true_start
 from ..tracking import Tracked, innovations
 from . import filters
+from .weighting import Weighting
 from .windows import stable_step
 
 #: time at the start of a log that the observer is given to settle [s]
 SETTLING = 0.12
-#: taps up to which a filter is run row by row
-_DIRECT = 64
 #: greatest step of integration [s]
 _STEP = 1.2e-3
 #: least noise of the voltage [V] and greatest share of the gain's bandwidth
@@ -68,34 +66,6 @@ class Stretch:
     held: np.ndarray
 
 
-@dataclass(frozen=True)
-class Weighting:
-    """Filters (J, taps) that make innovations white, what they are scaled by (J,), and the rows of
-    each log: no filter reaches from one into the next."""
-
-    filters: np.ndarray
-    scale: np.ndarray
-    lengths: tuple[int, ...]
-
-    def __call__(self, values: np.ndarray) -> np.ndarray:
-        """(n, J, ...) innovations or their derivatives, white and of variance 1."""
-        out = np.empty_like(values)
-        for j in range(values.shape[1]):
-            start = 0
-            for n in self.lengths:
-                rows = slice(start, start + n)
-                out[rows, j] = self._filtered(self.filters[j], values[rows, j]) / self.scale[j]
-                start += n
-        return out
-
-    @staticmethod
-    def _filtered(taps, values):
-        if len(taps) <= _DIRECT:
-            return lfilter(taps, [1.0], values, axis=0)
-        taps = taps.reshape(-1, *[1] * (values.ndim - 1))
-        return oaconvolve(values, taps, axes=0)[:len(values)]
-
-
 class Predictor:
     """Logs with a mechanism, ready to be predicted by plants.
 
@@ -109,7 +79,7 @@ class Predictor:
         self.stretches = [self._stretch(log, kept) for log, kept in zip(logs, held)]
         step = float(np.median(np.concatenate([np.diff(s.time) for s in self.stretches])))
         self.step = step
-        #: innovation of each joint after a volt that the model lacks was missing for one row [rad/V]
+        #: innovation of each joint after a volt that the model lacks in one row [rad/V]
         self.responses: list[np.ndarray] = []
         #: standard deviation of an innovation [rad] when the model is true
         self.spread: list[float] = []

@@ -1,17 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""Which effects the log asks for: forward selection with swaps and backward elimination (steps 2-6).
+"""The screening on filtered motion, in volts (steps 2 to 5).
 
-Each stage retunes the parameters with the effects chosen so far, estimates the noise on what is
-then left, and asks every hypothesis of the library for its gain of evidence. The best one enters
-if its gain is above what placebos reach on this very record, if its coefficients are legal, and if
-it lowers the error on the rows that were kept back.
+The parameters are retuned with the effects chosen so far, the noise is estimated on what is then
+left, and every hypothesis of the library is asked for its gain of evidence. What is done with the
+best ones is `selection`'s.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 

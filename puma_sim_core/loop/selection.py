@@ -3,10 +3,9 @@
 """Which effects the log asks for: a short list by screening, the choice by prediction errors.
 
 Forward with swaps and backward elimination (steps 4 to 7). Each stage screens the library twice:
-on filtered motion, which is quick and sees everything, and, for what is made of accelerations, on
-innovations, which feedback cannot deceive. The few that are left are put into the model one by one
-and fitted with all its parameters to the innovations of the log. The gain of log likelihood less
-the price of their free coefficients ranks them.
+on filtered motion, which is quick, and on innovations, which feedback cannot deceive. The few that
+are left are tried in the model one by one (`trials`), in the noise that the best of them leaves;
+the gain of log likelihood less the price of their free coefficients ranks them.
 """
 
 from __future__ import annotations
@@ -19,9 +18,10 @@ import numpy as np
 from . import colour
 from .causal import CausalScreen
 from .evidence import Scored
-from .prediction import Fitted, Point, PredictionFit, Predictor, Weighting
+from .prediction import Fitted, Point, PredictionFit, Predictor
 from .search import Search
 from .trials import TWO_MASSES, Trial, Trials
+from .weighting import Weighting
 
 #: most effects that are added
 MOST_EFFECTS = 4

@@ -3,8 +3,8 @@
 """The shape of what no effect of the library explains (step 10).
 
 For each joint a bank of free curves: piecewise linear over one axis at a time, whole and with the
-sign of the velocity, hystereses, and single lines of the spectrum in time and in motor angle. Each is a
-hypothesis like any other, with a Gaussian prior on the heights of its knots; the one with the
+sign of the velocity, hystereses, and single lines of the spectrum in time and in motor angle. Each
+is a hypothesis like any other, with a Gaussian prior on the heights of its knots; the one with the
 greatest gain of evidence is the axis, and its heights with their band are the curve.
 """
 
@@ -18,8 +18,8 @@ from ..backend import compiled
 from ..effects.screening import VOLTAGE_COLUMN, Candidate, Signals
 from . import colour
 from .evidence import Scored
-from .prediction import Weighting
 from .result import Shape
+from .weighting import Weighting
 
 #: knots of a curve over a physical axis; of one over time [s between knots]
 _KNOTS, _TIME_KNOT = 9, 0.5

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from ..effects import KINDS, Effect
 from ..errors import ParameterError
 from .evidence import Scored
-from .prediction import Fitted, Point, PredictionFit
+from .prediction import Fitted, Point
 
 #: least and greatest price [nat] of a coefficient: what a screening promised is no measure of it
 #: where the fit then goes far from there
@@ -23,12 +23,13 @@ _LEAST_PRICE, _MOST_PRICE = 1.5, 6.0
 TIE_NATS, TIE_SHARE = 8.0, 0.003
 #: share of its screened gain that a fit must reach, else all derivatives are taken anew
 _PROMISED = 0.7
-#: share of the best gain above which a trial is fitted again with its own derivatives, for how many,
-#: and from which gain [nat] on
+#: share of the best gain above which a trial is fitted again with its own derivatives, for how
+#: many, and from which gain [nat] on
 _NEAR, _POLISHED, _WORTH = 0.8, 4, 8.0
 #: shares of a screened threshold that a fit may start from
 _STARTS = (0.7, 0.8, 0.87, 0.94, 1.0, 1.07, 1.15, 1.3)
-#: change [nat] of the rows kept back, and share of the gain, below which an effect does not act on them
+#: change [nat] of the rows kept back, and share of the gain, below which an effect does not act
+#: on them
 _UNTOUCHED, _UNTOUCHED_SHARE = 1.5, 0.03
 #: parameters that a screening gives and a fit leaves alone
 STRUCTURAL = frozenset({"motor_share", "order", "ratio", "transmitted"})
