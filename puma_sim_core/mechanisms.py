@@ -15,6 +15,7 @@ at once. A model that already holds effects keeps them: they are in the plants, 
 from __future__ import annotations
 
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -75,7 +76,7 @@ class Drive(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Mechanism:
+class Mechanism(ABC):
     """A machine as the loop sees it; see `load_mechanism`.
 
     Attributes
@@ -138,26 +139,21 @@ class Mechanism:
 
     # ------------------------------------------------------------- what each mechanism defines
 
+    @abstractmethod
     def torque(self, theta, q, qd, qdd) -> np.ndarray:
         """(n, J) torque D qdd + C + G of the links, without the motors' inertia and friction."""
-        raise NotImplementedError
 
+    @abstractmethod
     def gravity(self, theta, q) -> np.ndarray:
         """(n, J) gravity torque G."""
-        raise NotImplementedError
 
+    @abstractmethod
     def inertia(self, theta, q) -> np.ndarray:
         """(n, J) diagonal of D."""
-        raise NotImplementedError
 
-    def unit(self, unit: str) -> str:
-        """Unit of an effect's parameter on this mechanism: rad and N.m are m and N on an axis that
-        slides."""
-        return unit if self.position_unit == "rad" else unit.replace("N.m", "N").replace("rad", "m")
-
+    @abstractmethod
     def inertia_matrix(self, theta, q) -> np.ndarray:
         """(n, J, J) D of the links."""
-        raise NotImplementedError
 
     def gravity_tilt(self, theta, q) -> np.ndarray | None:
         """(n, J, 2) change of G per rad of base tilt x and y, or None (see `base_tilt`)."""
@@ -167,22 +163,23 @@ class Mechanism:
         """(n, J) torque that 1 kg at (0, 0, z) of the last link takes, or None."""
         return None
 
+    @abstractmethod
     def link_jacobian(self, theta, q, qd, qdd) -> np.ndarray:
         """(n, J, p) derivative of `torque`."""
-        raise NotImplementedError
 
+    @abstractmethod
     def drive(self, theta) -> Drive:
         """Constants of the drives, (J,) each."""
-        raise NotImplementedError
 
+    @abstractmethod
     def plant(self, theta=None, effects: Iterable[Effect] = ()) -> Plant:
         """The plant to simulate, with the mechanism's own effects and further ones."""
-        raise NotImplementedError
 
     def possible(self, name: str) -> bool:
         """Whether an effect of this name has a meaning here; plants refuse others."""
         return True
 
+    @abstractmethod
     def of_plant(self, plant: Plant) -> Mechanism:
         """This mechanism with the numbers and effects of a plant as its start; the widths of the
         priors stay, in proportion to the numbers.
@@ -191,9 +188,13 @@ class Mechanism:
         ------
         ParameterError : a plant of another kind.
         """
-        raise NotImplementedError
 
     # ------------------------------------------------------------------- what follows from it
+
+    def unit(self, unit: str) -> str:
+        """Unit of an effect's parameter on this mechanism: rad and N.m are m and N on an axis that
+        slides."""
+        return unit if self.position_unit == "rad" else unit.replace("N.m", "N").replace("rad", "m")
 
     def total_torque(self, theta, q, qd, qdd) -> np.ndarray:
         """(n, J) all that the motors must give: `torque` + Ia qdd + H qd."""

@@ -316,7 +316,7 @@ def test_known_friction_by_torque_accounts_for_its_voltage():
 
 
 def pendulum_signals(mechanism, run, voltage):
-    from test_mechanisms import signals_of as of_mechanism
+    from mechanism_support import signals_of as of_mechanism
     return of_mechanism(mechanism, run, voltage)
 
 

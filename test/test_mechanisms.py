@@ -1,30 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""Mechanisms: torques and derivatives, plants of one joint, their files, open-loop windows."""
+"""Mechanisms: torques and derivatives, and their files."""
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.integrate import solve_ivp
-from scipy.special import ellipk
 
 from cli_support import call
+from mechanism_support import NAMES, pendulum, pendulum_mapping, signals_of
 from puma_sim_core.effects import parse_effect
-from puma_sim_core.effects.screening import Signals
 from puma_sim_core.errors import ModelError, ParameterError, PumaSimError
-from puma_sim_core.files import read_yaml, yaml_text
+from puma_sim_core.files import yaml_text
 from puma_sim_core.kinematics import first_derivatives
 from puma_sim_core.known_effects import known_voltage
-from puma_sim_core.loop.windows import FAR_OFF, Windows, run_windows
 from puma_sim_core.mechanisms import load_mechanism, mechanism_names
-from puma_sim_core.one_joint import OneJoint, OneJointPlant
+from puma_sim_core.one_joint import OneJoint
 from puma_sim_core.plant import Plant, dump_model, load_model
 from puma_sim_core.recording import Recording, write_csv
 from puma_sim_core.resources import config_path
@@ -33,7 +27,6 @@ from puma_sim_core.rigid_body import (arm_pseudo_inertias, arm_table, trace_cori
 from puma_sim_core.simulator import Simulator
 
 RNG = np.random.default_rng(20)
-NAMES = ("puma560", "pendulum", "slide")
 
 
 def motion(joints, rows=40):
@@ -43,10 +36,6 @@ def motion(joints, rows=40):
 def moved(mechanism, rng=RNG):
     """A theta away from the start, by a few per cent."""
     return mechanism.start * (1.0 + 0.05 * rng.uniform(-1.0, 1.0, len(mechanism.start)))
-
-
-def pendulum_mapping():
-    return read_yaml(config_path("mechanisms", "pendulum.yaml"))
 
 
 # ------------------------------------------------------------------------------------- torques
@@ -152,26 +141,6 @@ def test_model_voltage_is_what_the_simulator_was_given(name, load):
     assert_allclose((motor + lag)[rows], held[rows], atol=2e-3 * size.max())
 
 
-def signals_of(mechanism, run, voltage):
-    """A run as the screening reads it, with exact velocities and accelerations."""
-    theta, q, qd, qdd = mechanism.start, run.position, run.velocity, run.acceleration
-    drive = mechanism.drive(theta)
-    torque = mechanism.total_torque(theta, q, qd, qdd)
-    step = float(run.time[1] - run.time[0])
-    return Signals(
-        time=run.time, step=step, segment=np.zeros(len(q), dtype=int), voltage=voltage,
-        position=q, velocity=qd, acceleration=qdd,
-        link_torque=mechanism.torque(theta, q, qd, qdd), gravity_torque=mechanism.gravity(theta, q),
-        torque=torque, current=torque * drive.volts_per_torque / drive.resistance,
-        enable=np.ones_like(q), link_inertia=mechanism.inertia(theta, q),
-        motor_inertia=drive.motor_inertia, viscous=drive.viscous,
-        volts_per_torque=drive.volts_per_torque, lag=drive.lag, emf=drive.emf,
-        gear=mechanism.gear, torque_scale=mechanism.torque_scale,
-        velocity_noise=np.full(mechanism.joints, 1e-6), quantum=np.zeros(mechanism.joints),
-        ranges=mechanism.ranges, inertia=mechanism.inertia_matrix(theta, q),
-        position_gradient=mechanism.position_gradient(theta, q, qd, qdd))
-
-
 @pytest.mark.parametrize("name, effects", [
     ("puma560", ["coulomb_friction:joint=2,torque=9", "base_tilt:x=0.05,y=-0.02",
                  "input_delay:time=0.004", "payload:mass=2"]),
@@ -205,189 +174,6 @@ def test_known_effects_account_for_the_voltage_that_they_take(name, effects):
     assert (np.quantile(after, 0.9, axis=0) < 2e-3 + 0.01 * before.max(axis=0)).all()
     assert before.max() > 0.15
     assert not known_voltage(bare, bare.start, signals).any()
-
-
-# ------------------------------------------------------------------------- plants of one joint
-
-
-def pendulum(effects=(), **numbers):
-    body = OneJoint.from_mapping(pendulum_mapping())
-    return OneJointPlant.of(body, map(parse_effect, effects), numbers)
-
-
-def test_pendulum_moves_as_its_equation():
-    plant = pendulum()
-    time = np.arange(0.0, 3.0, 0.01)
-    voltage = 2.5 * np.sin(5.0 * time)[:, None]
-    simulator = Simulator(plant)
-    simulator.reset([0.4])
-    run = simulator.run(time, voltage)
-    inertia = 0.49 * 0.1 ** 2 + 0.0019
-    state, states = np.array([0.4, 0.0]), [[0.4, 0.0]]
-    for r in range(len(time) - 1):
-        volts = voltage[r, 0]
-
-        def slope(_, x):
-            current = (volts - 0.334 * x[1]) / 3.29
-            return [x[1], (0.334 * current - 0.0066 * x[1]
-                           - 0.49 * 9.81 * 0.1 * np.sin(x[0])) / inertia]
-
-        state = solve_ivp(slope, (time[r], time[r + 1]), state, rtol=1e-9, atol=1e-12).y[:, -1]
-        states.append(state)
-    assert_allclose(np.column_stack([run.position, run.velocity]), states, atol=1e-8)
-    # the current of a row is that of the voltage which led to it
-    assert_allclose(run.current[1:, 0],
-                    (voltage[:-1, 0] - 0.334 * run.velocity[1:, 0]) / 3.29, atol=1e-12)
-
-
-def test_switched_off_it_swings_with_the_period_of_a_pendulum():
-    plant = pendulum(viscous_friction=0.0)
-    start, inertia, weight = 1.1, 0.49 * 0.01 + 0.0019, 0.49 * 9.81 * 0.1
-    period = 4.0 * np.sqrt(inertia / weight) * ellipk(np.sin(start / 2.0) ** 2)
-    simulator = Simulator(plant)
-    simulator.reset([start])
-    time = np.linspace(0.0, 5.0 * period, 2001)
-    volts = np.full((len(time), 1), 3.0)  # which nobody applies
-    run = simulator.run(time, volts, enable=np.zeros(len(time)))
-    assert_allclose(run.position[-1], start, atol=1e-5)
-    assert not run.current.any()
-    energy = 0.5 * inertia * run.velocity ** 2 - weight * np.cos(run.position)
-    assert np.ptp(energy) < 1e-7 * weight
-
-
-def test_switching_off_and_on_is_a_run_of_each_part():
-    plant = pendulum(["coulomb_friction:joint=1,torque=0.02"])
-    time = np.arange(0.0, 1.0, 0.004)
-    voltage = (2.0 * np.cos(7.0 * time))[:, None]
-    enable = np.ones(len(time))
-    enable[100:150] = 0.0
-    simulator = Simulator(plant)
-    run = simulator.run(time, voltage, enable=enable)
-    whole = Simulator(plant)
-    first = whole.run(time[:101], voltage[:101])
-    assert np.array_equal(run.position[:101], first.position)
-    assert not run.current[101:150].any() and run.current[151:].all()
-    always = Simulator(plant).run(time, voltage)
-    assert np.array_equal(always.position,
-                          Simulator(plant).run(time, voltage, enable=np.ones(len(time))).position)
-    with pytest.raises(ParameterError, match=r"\(250,\) or \(250, 1\)"):
-        simulator.run(time, voltage, enable=np.ones((len(time), 3)))
-
-
-def test_an_arm_without_current_falls_as_with_open_motors():
-    """A drive that is off neither brakes nor drives; an arm whose joints are all off is a
-    frictionless body."""
-    plant = Plant.of("bejczy")
-    simulator = Simulator(plant)
-    simulator.reset([0.1, 0.2, -0.3])
-    time = np.arange(0.0, 0.4, 1e-3)
-    run = simulator.run(time, np.full((len(time), 3), 20.0), enable=np.zeros(len(time)))
-    from puma_sim_core.rigid_body import inertia
-    D = inertia(run.position, plant.arm) + np.diag(plant.arm.motor_inertia)
-    kinetic = 0.5 * np.einsum("ni,nij,nj->n", run.velocity, D, run.velocity)
-    arm = load_mechanism("puma560")
-    work = np.zeros(len(time))
-    gravity = arm.gravity(arm.start, run.position)
-    middle = 0.5 * (gravity[1:] + gravity[:-1])
-    work[1:] = np.cumsum((middle * np.diff(run.position, axis=0)).sum(axis=1))
-    assert kinetic[-1] > 5.0
-    assert_allclose(kinetic + work, 0.0, atol=1e-3)
-
-
-def test_slide_follows_its_command_exponentially():
-    slide = load_mechanism("slide")
-    time = np.linspace(0.0, 2.0, 401)
-    run = Simulator(slide.plant()).run(time, np.full((len(time), 1), 0.5))
-    force, mass, viscous = 0.5 * 35.15065188248547, 95.109, 203.5
-    assert_allclose(run.velocity[:, 0], force / viscous * -np.expm1(-time * viscous / mass),
-                    atol=1e-12)
-    # in rest, dry friction holds what is below its level
-    held = slide.plant(None, [parse_effect("coulomb_friction:joint=1,torque=20")])
-    simulator = Simulator(held)
-    assert not simulator.run(time, np.full((len(time), 1), 0.5)).velocity.any()
-    ramp = np.linspace(0.0, 1.0, len(time))[:, None]
-    moving = Simulator(held).run(time, ramp).velocity[:, 0]
-    # the command is held: it exceeds the friction in the row after 20 N / gain
-    first = int(np.flatnonzero(moving)[0])
-    assert ramp[first - 1, 0] * 35.15065188248547 > 20.0 >= ramp[first - 2, 0] * 35.15065188248547
-
-
-def test_no_inductance_is_the_limit_of_a_small_one():
-    time = np.arange(0.0, 1.0, 0.005)
-    voltage = (2.0 * np.sin(9.0 * time))[:, None]
-    at_once = Simulator(pendulum()).run(time, voltage).position
-    distances = [abs(Simulator(pendulum(inductance=L)).run(time, voltage).position
-                     - at_once).max() for L in (0.016, 0.008, 0.004)]
-    ratios = np.array(distances[:-1]) / np.array(distances[1:])
-    assert_allclose(ratios, 2.0, atol=0.15)
-
-
-@pytest.mark.parametrize("effect", [
-    "coulomb_friction:joint=1,torque=0.05", "stribeck_friction:joint=1,torque=0.05",
-    "current_limit:joint=1,current=0.3", "voltage_saturation:joint=1,voltage=0.8",
-    "soft_stop:joint=1,lower=-0.2,upper=0.2,stiffness=5,damping=0.1",
-    "presliding_friction:joint=1,stiffness=20,torque=0.05", "payload:mass=0.1"])
-def test_effects_act_on_one_joint_as_on_the_third_of_an_arm(effect):
-    """A pendulum is an arm whose other joints are held and whose inertia is the same."""
-    time = np.arange(0.0, 0.6, 0.002)
-    voltage = (2.0 * np.sin(11.0 * time))[:, None]
-    plant = pendulum([effect])
-    run = Simulator(plant).run(time, voltage)
-    from puma_sim_core.simulator import Constraint
-    third = parse_effect(effect.replace("joint=1", "joint=3"))
-    arm = Plant(plant.arm, (parse_effect("viscous_friction:joint=3,coefficient=0.0066"), third))
-    simulator = Simulator(arm, constraints=(Constraint("hold"), Constraint("hold"), Constraint()))
-    full = simulator.run(time, np.pad(voltage, ((0, 0), (2, 0))))
-    assert np.array_equal(run.position[:, 0], full.position[:, 2])
-    assert not np.array_equal(run.position, Simulator(pendulum()).run(time, voltage).position)
-
-
-def test_what_a_single_joint_refuses():
-    for effect, message in (("coulomb_friction:joint=2,torque=1", "joint=1"),
-                            ("base_tilt:x=0.1", "an arm"), ("payload:mass=1,x=0.1", "z along")):
-        with pytest.raises(ParameterError, match=message):
-            pendulum([effect])
-    slide = load_mechanism("slide")
-    for effect, message in (("joint_elasticity:joint=1,stiffness=1000", "a rotor that can move"),
-                            ("resistance_drift:joint=1,share=0.2,time_constant=9", "on voltage")):
-        assert not slide.possible(effect.split(":")[0])
-        with pytest.raises(ParameterError, match=message):
-            slide.plant(None, [parse_effect(effect)])
-    assert slide.possible("coulomb_friction")
-    with pytest.raises(ParameterError, match="one finite number"):
-        Simulator(pendulum()).reset([0.0, 1.0])
-    with pytest.raises(ParameterError, match=r"\(n,\) and \(n, 1\)"):
-        Simulator(pendulum()).run([0.0, 1.0], np.zeros((2, 3)))
-    with pytest.raises(ParameterError, match="arm of three"):
-        Simulator(pendulum()).run_servo(np.zeros((2, 3)))
-    from puma_sim_core.session import SessionConfig
-    with pytest.raises(ParameterError, match="puma-sim simulate"):
-        SessionConfig(pendulum())
-
-
-BITS = """
-import numpy as np
-from puma_sim_core.mechanisms import load_mechanism
-from puma_sim_core.effects import parse_effect
-from puma_sim_core.simulator import Simulator
-for name in ("pendulum", "slide"):
-    plant = load_mechanism(name).plant(None, [
-        parse_effect("coulomb_friction:joint=1,torque=0.03"),
-        parse_effect("current_limit:joint=1,current=0.4")])
-    time = np.arange(0.0, 0.3, 0.005)
-    simulator = Simulator(plant)
-    run = simulator.run(time, 2.0 * np.sin(20.0 * time[:, None]), acceleration=True,
-                        enable=(time < 0.2).astype(float))
-    print([float(v).hex() for v in np.hstack([run.position, run.velocity, run.current,
-                                              run.acceleration]).ravel()])
-"""
-
-
-def test_interpreted_and_compiled_plants_of_one_joint_have_the_same_bits():
-    results = [subprocess.run([sys.executable, "-c", BITS], capture_output=True, text=True,
-                              env={**os.environ, "PUMA_SIM_KERNEL": kernel}, check=True).stdout
-               for kernel in ("python", "auto")]
-    assert results[0] == results[1] and len(results[0]) > 1000
 
 
 # --------------------------------------------------------------------------------------- files
@@ -511,62 +297,3 @@ def test_simulate_takes_a_model_of_one_joint(tmp_path, capsys):
         assert f"windows of 0.2 s [{unit}]" in capsys.readouterr().err
     assert call("simulate", volts, "--model", model, "--initial", "1,2,3", "--out", out) == 2
     assert "one finite number [m]" in capsys.readouterr().err
-
-
-# ------------------------------------------------------------------------------------- windows
-
-
-def windows_of(plant, start, time, voltage, enable=None, **options):
-    simulator = Simulator(plant, max_step=1e-3)
-    simulator.reset(start)
-    run = simulator.run(time, voltage, enable=enable)
-    return run, Windows.of(time, voltage, run.position, enable, **options)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_windows_of_the_true_plant_stay_on_the_log(name):
-    mechanism = load_mechanism(name)
-    J = mechanism.joints
-    time = np.arange(0.0, 2.0, 1e-3)
-    voltage = 3.0 * np.sin(5.0 * time[:, None] + np.arange(J))
-    start = [0.1, -0.4, 0.8][:J]
-    run, windows = windows_of(mechanism.plant(), start, time, voltage,
-                              starts=np.arange(100, 1500, 400), length=0.4)
-    result = run_windows(mechanism.plant(), windows)
-    assert [len(p) for p in result.predicted] == [401] * 4
-    # what local slopes and quasi-static currents leave of an error
-    assert (result.rms < 3e-4).all()
-    wrong = run_windows(mechanism.plant(mechanism.start * 1.1), windows)
-    assert (wrong.rms > 10.0 * result.rms).all()
-    exact = Windows.of(time, voltage, run.position, starts=[100], length=0.4,
-                       motion=(run.position[[100]], run.velocity[[100]],
-                               np.zeros((1, J))))
-    assert (run_windows(mechanism.plant(), exact).rms < 3e-4).all()
-
-
-def test_windows_know_when_the_drive_is_off():
-    plant = pendulum()
-    time = np.arange(0.0, 2.0, 0.005)
-    voltage = np.full((len(time), 1), 2.0)
-    enable = (time < 0.8).astype(float)
-    run, windows = windows_of(plant, [0.0], time, voltage, enable, starts=[0, 100, 200, 300],
-                              length=0.4)
-    assert (run_windows(plant, windows).rms < 2e-3).all()
-    blind = Windows.of(time, voltage, run.position, starts=[0, 100, 200, 300], length=0.4)
-    assert (run_windows(plant, blind).rms > 0.05).all()
-
-
-def test_windows_that_cannot_be():
-    time, zeros = np.arange(5.0), np.zeros((5, 1))
-    for words, options in (("one of them", {"starts": [0]}),
-                           ("one row at least", {"starts": [4], "length": 1.0}),
-                           ("one row at least", {"starts": [0], "ends": [5]})):
-        with pytest.raises(ParameterError, match=words):
-            Windows.of(time, zeros, zeros, **options)
-    with pytest.raises(ParameterError, match="times that do not increase"):
-        Windows.of(time[::-1], zeros, zeros, starts=[0], length=1.0)
-    good = Windows.of(time * 1e-2, zeros, zeros, starts=[0], length=0.02)
-    with pytest.raises(ParameterError, match="as many joints"):
-        run_windows(Plant.of("bejczy"), good)
-    wild = Windows.of(time * 1e-2, zeros + 1e300, zeros, starts=[0], length=0.02)
-    assert run_windows(pendulum(), wild).rms[0] == pytest.approx(FAR_OFF)
