@@ -31,15 +31,16 @@ _HELD = 0.999999
 
 
 @merged
-def tracked_rows(advance, x, z, m, volts, on, times, counts, steps, target, gain, body, drive,
-                 active, p, lock, out):
+def tracked_rows(advance, x, z, m, volts, on, times, counts, steps, target, corrected, gain, body,
+                 drive, active, p, lock, out):
     """Innovations of each row, with a function like `runs.advance`.
 
     on (k, 3): 0.0 where a drive is cut off; target (k): row of `out` whose first three numbers are
     the positions measured at the end of the row, -1 where none are; they are replaced by the
     innovations, and the six numbers behind them by the positions and velocities that the model
-    predicts there. gain : nine numbers, joint by joint for position, velocity and current. Returns
-    the first row whose state is not finite, or -1.
+    predicts there. corrected : for each row of `out`, whether its innovation moves the state.
+    gain : nine numbers, joint by joint for position, velocity and current. Returns the first row
+    whose state is not finite, or -1.
     """
     for r in range(len(counts)):
         a, b, c = on[r][0], on[r][1], on[r][2]
@@ -62,6 +63,8 @@ def tracked_rows(advance, x, z, m, volts, on, times, counts, steps, target, gain
         out[k, 2] = e3
         for j in range(6):
             out[k, 3 + j] = x[j]
+        if not corrected[k]:
+            continue
         # a joint that sticks is moved, and stays stuck
         d1 = 0.0 if active & DRY and x[3] == 0.0 else gain[1] * e1
         d2 = 0.0 if active & DRY and x[4] == 0.0 else gain[4] * e2
@@ -83,17 +86,17 @@ def tracked_rows(advance, x, z, m, volts, on, times, counts, steps, target, gain
 
 
 @compiled
-def _tracked(x, z, m, volts, on, times, counts, steps, target, gain, body, drive, active, p, lock,
-             out):
-    return tracked_rows(advance, x, z, m, volts, on, times, counts, steps, target, gain, body,
-                        drive, active, p, lock, out)
+def _tracked(x, z, m, volts, on, times, counts, steps, target, corrected, gain, body, drive, active,
+             p, lock, out):
+    return tracked_rows(advance, x, z, m, volts, on, times, counts, steps, target, corrected, gain,
+                        body, drive, active, p, lock, out)
 
 
 @compiled
-def _tracked_trains(x, z, m, volts, on, times, counts, steps, target, gain, body, drive, active, p,
-                    lock, out):
-    return tracked_rows(train_advance, x, z, m, volts, on, times, counts, steps, target, gain,
-                        body, drive, active, p, lock, out)
+def _tracked_trains(x, z, m, volts, on, times, counts, steps, target, corrected, gain, body, drive,
+                    active, p, lock, out):
+    return tracked_rows(train_advance, x, z, m, volts, on, times, counts, steps, target, corrected,
+                        gain, body, drive, active, p, lock, out)
 
 
 class Tracked(NamedTuple):
@@ -104,12 +107,15 @@ class Tracked(NamedTuple):
     velocity: np.ndarray
 
 
-def innovations(simulator: Simulator, time, voltage, measured, gain, enable=None) -> Tracked:
+def innovations(simulator: Simulator, time, voltage, measured, gain, enable=None,
+                corrected=None) -> Tracked:
     """Innovations of a model from its present state on.
 
     simulator : at time[0], its state is used up; time (n,) [s]; voltage (n, J) [V], row r held
     until time[r + 1]; measured (n, J) positions [rad]; gain (J, 3): of position [1], velocity
-    [1/s] and current [A/rad] for an innovation of a joint; enable (n, J), 0 where a drive is off.
+    [1/s] and current [A/rad] for an innovation of a joint; enable (n, J), 0 where a drive is off;
+    corrected (n - 1,): whether the innovation of a row moves the state, None: each does. Where it
+    does not the model runs in open loop, and innovations are its errors.
 
     Returns
     -------
@@ -145,12 +151,18 @@ def innovations(simulator: Simulator, time, voltage, measured, gain, enable=None
         on = on[np.clip(np.searchsorted(pieces.row, np.arange(len(duration)), side="right") - 1,
                         0, n - 2)]
     counts = step_counts(duration, simulator.max_step)
+    corrected = np.ones(n - 1, dtype=bool) if corrected is None else np.asarray(corrected, bool)
+    if corrected.shape != (n - 1,):
+        raise ParameterError(f"corrected {corrected.shape}", where="innovations",
+                             expected=f"({n - 1},)")
     gains = native([0.0] * (3 * hidden) + gain.ravel().tolist())
     run = _tracked_trains if active & TWO_MASS else _tracked
     bad = run(simulator.state, simulator._beyond(), simulator.measured, rows_of(volts),
               rows_of(on), rows_of(edges[:-1]),
               counts if BACKEND == "numba" else counts.tolist(), rows_of(duration / counts),
-              target if BACKEND == "numba" else target.tolist(), gains, *simulator._kernel, out)
+              target if BACKEND == "numba" else target.tolist(),
+              corrected if BACKEND == "numba" else corrected.tolist(), gains, *simulator._kernel,
+              out)
     if bad >= 0 or not np.isfinite(out).all():
         raise NonFiniteStateError(int(bad))
     return Tracked(*(out[:, first + hidden:first + 3] for first in (0, 3, 6)))

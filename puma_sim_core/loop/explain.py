@@ -25,15 +25,18 @@ from .result import DATA_FAULT, Explanation
 from .sampling import sample
 from .search import Search
 from .selection import LEAST_GAIN, Selection
-from .validate import Validation
+from .validate import Validation, rms
 
 #: least and greatest noise of a row's voltage that the observer reckons with, in volts of a
 #: middling friction torque
 _LEAST_NOISE, _GREATEST_NOISE = 0.02, 0.5
 #: gain of a curve [nat] above which it may have stretched the parameters
 _MUCH = 150.0
-#: what the position error held out may grow by with an effect that does not act there
-_UNTRIED_ROOM = 1.03
+#: what the position error held out may grow by with an effect that does not act there, and with
+#: one that lowers the errors from row to row there by more than so many nats, the least of it,
+#: the most, and for a nat: a few windows, most of whose error comes from the parameters, say less
+#: than all rows do
+_UNTRIED_ROOM, _CLEAR, _CLEAR_ROOM, _MOST_ROOM, _A_NAT = 1.03, 10.0, 1.02, 1.15, 1e-3
 #: placebos of the shapes
 _SHIFTS = 24
 
@@ -102,6 +105,7 @@ class Analysis:
     problem: Problem
     search: Search
     predictor: Predictor
+    selection: Selection
     selected: object
     validation: Validation
     volts: np.ndarray
@@ -121,6 +125,10 @@ class Analysis:
         search = Search(problem, library, progress)
         progress("retuning", 0.03)
         retuned = search.retune(mechanism.start)
+        alike = problem.like(retuned.residual())
+        if alike is not problem:
+            problem, search = alike, Search(alike, library, progress)
+            retuned = search.retune(retuned.theta)
         bank = search.bank(retuned.theta)
         volts = _row_noise(search, retuned)
         predictor = Predictor(logs, mechanism, [_held(problem, n) for n in range(len(logs))],
@@ -128,19 +136,24 @@ class Analysis:
         selection = Selection(search, predictor, library, seed, progress)
         selected = selection.run(retuned.theta, bank)
         progress("validating", 0.86)
-        validation = Validation(problem, logs, seed)
+        validation = Validation(problem, predictor)
         selected = _confirmed(selection, selected, validation, mechanism)
-        return cls(logs, mechanism, problem, search, predictor, selected, validation, volts, seed,
-                   progress)
+        return cls(logs, mechanism, problem, search, predictor, selection, selected, validation,
+                   volts, seed, progress)
 
     def explanation(self, notes, begin, common) -> Explanation:
         """Steps 7 to 11."""
-        m, p, s = self.mechanism, self.problem, self.selected
-        fit = PredictionFit(self.predictor, s.weighting)
-        final = s.final
+        m, p = self.mechanism, self.problem
         self.progress("what is left", 0.87)
+        shapes, chance = self._shapes(self.selected.final)
+        if outcome.doubtful(self.selected, shapes, chance, self._left()):
+            for key in self.selected.keys:
+                self.selected = self.selection.without(self.selected, key)
+            shapes, chance = self._shapes(self.selected.final)
+        s = self.selected
+        final = s.final
+        fit = PredictionFit(self.predictor, s.weighting)
         causal = CausalScreen(fit, final.point, final.errors, final.jacobian, p)
-        shapes, chance = self._shapes(final)
         self.progress("what could have been seen", 0.93)
         threshold = max(LEAST_GAIN, s.stages[-1].threshold)
         rows = []
@@ -155,17 +168,27 @@ class Analysis:
         plants = {name: m.plant(point.theta, point.effects) for name, point in points.items()}
         residuals = {name: self._volts(plant) for name, plant in plants.items()}
         model = plants["augmented"]
-        # the observer was made before it was known what is noise and what an effect
-        raw = np.where(self.predictor.fit_rows, self.predictor.errors(model), np.nan)
-        less = np.minimum(1.0, np.nanstd(raw, axis=0) / np.array(self.predictor.spread))
+        less = self._less(final.point)
         floor = less * self.predictor.floor_in_volts(p.sampled.cutoffs[1])
-        errors = self.validation.errors(plants, residuals, self.predictor, less * self.volts, floor)
+        errors = self.validation.errors(plants, residuals, less * self.volts, floor)
         linear = p.linear(final.point.theta, final.point.effects)
         bias = feedback.test(p, self.search.settle(linear, ()))
         spread = intervals.intervals(fit, final)
         return outcome.compose(self, errors, residuals, shapes, chance, rows, bias, spread, model,
                                notes, begin, common)
 
+    def _less(self, point) -> np.ndarray:
+        """(J,) noise of the innovations of a model, at most 1, over that which the observer was made
+        for: before it was known what is noise and what an effect."""
+        raw = np.where(self.predictor.fit_rows, self._raw(point), np.nan)
+        return np.minimum(1.0, np.nanstd(raw, axis=0) / np.array(self.predictor.spread))
+
+    def _left(self) -> np.ndarray:
+        """(J,) residual of the rows to fit after what was chosen, in terms of its floor."""
+        point, cutoff = self.selected.final.point, self.problem.sampled.cutoffs[1]
+        volts = self._volts(self.mechanism.plant(point.theta, point.effects))
+        floor = self._less(point) * self.predictor.floor_in_volts(cutoff)
+        return rms(volts, self.predictor.fit_rows) / floor
 
     def _shapes(self, final) -> tuple[list, float]:
         """Free curves against what is left, in the noise that the best of them leaves; the greatest
@@ -218,8 +241,9 @@ class Analysis:
 
 
 def _confirmed(selection: Selection, selected, validation: Validation, mechanism):
-    """The selection without the effects, weakest first, that leave the position error held out no
-    lower than retuning alone (step 7); a blow that fell elsewhere need not lower it."""
+    """The selection without the effects, weakest first, that do not lower the error held out (step
+    7): by open-loop windows, or clearly from row to row with windows that are little worse. A blow
+    that fell elsewhere need not lower either."""
     def held_out(fitted) -> float:
         plant = mechanism.plant(fitted.point.theta, fitted.point.effects)
         return float(np.sqrt((validation.position_rms(plant, "held_out") ** 2).mean()))
@@ -228,12 +252,22 @@ def _confirmed(selection: Selection, selected, validation: Validation, mechanism
     # without rows held out there is nothing to be seen, and NaN compares with nothing
     while selected.keys:
         weakest = min(selected.keys, key=selected.gain_of)
-        entry = selected.entry(weakest)
-        room = _UNTRIED_ROOM if entry is not None and entry.untried else 1.0
-        if not held_out(selected.final) >= room * limit:
+        if not held_out(selected.final) >= _room(selected.entry(weakest)) * limit:
             break
         selected = selection.without(selected, weakest)
     return selected
+
+
+def _room(entry) -> float:
+    """Share of the retuned model's position error held out that a model with an effect, by the trial
+    in which it entered, must stay below."""
+    if entry is None:
+        return 1.0
+    if entry.untried:
+        return _UNTRIED_ROOM
+    if entry.held_gain > _CLEAR:
+        return min(max(_CLEAR_ROOM, 1.0 + _A_NAT * entry.held_gain), _MOST_ROOM)
+    return 1.0
 
 
 def _held(problem: Problem, number: int):

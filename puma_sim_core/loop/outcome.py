@@ -18,6 +18,9 @@ from .shape import describe
 
 #: least gain [nat] of a remainder, and its least share of the gain of the first effect
 _REMAINDER, _REMAINDER_SHARE = 20.0, 0.01
+#: a residual of so many times its floor is no mere inexactness of what was named; of so many, what
+#: was named is not what is missing
+_LEFT, _MOST_LEFT = 1.5, 3.0
 #: what a remainder's gain must exceed the placebos' greatest by
 _FACTOR, _MARGIN = 1.3, 3.0
 #: a remainder that is this share of what the effects explain leaves no name standing
@@ -41,16 +44,12 @@ def compose(analysis, errors, residuals, shapes, chance, detect, bias, spread, m
     """The explanation from all stages."""
     s = analysis.selected
     names = _named(analysis, spread)
-    remainder = _remainder(s, shapes, chance)
-    explained = sum(s.gain_of(key) for key in s.keys)
-    if not names:
-        verdict = UNNAMED if remainder is not None else NOTHING_MISSING
-    elif remainder is None:
-        verdict = NAMED
-    elif remainder.scored.gain > _OVERWHELMING * explained:
-        verdict, names = UNNAMED, ()
+    volts = errors["fit"].voltage_rms
+    remainder = _remainder(s, shapes, chance, np.asarray(volts.augmented) / volts.floor)
+    if remainder is None:
+        verdict = NAMED if names else NOTHING_MISSING
     else:
-        verdict = NAMED_WITH_REMAINDER
+        verdict = NAMED_WITH_REMAINDER if names else UNNAMED
     curve = None
     if remainder is not None:
         ranking = tuple((_axis_name(c), float(c.scored.gain)) for c in shapes[:8])
@@ -118,12 +117,24 @@ def _because(named: str, trial, best) -> str:
     return f"{lower}: {text}" if text else lower
 
 
-def _remainder(s, shapes, chance):
+def doubtful(s, shapes, chance, left) -> bool:
+    """Whether what is left says that no name may stand; left (J,): residual in terms of its floor.
+    """
+    remainder = _remainder(s, shapes, chance, left) if s.keys else None
+    if remainder is None:
+        return False
+    explained = sum(s.gain_of(key) for key in s.keys)
+    return (remainder.scored.gain > _OVERWHELMING * explained
+            or left[remainder.scored.joint - 1] > _MOST_LEFT)
+
+
+def _remainder(s, shapes, chance, left):
     """The best free curve, where it is more than chance and more than inexactness."""
     if not shapes:
         return None
     first = max((s.gain_of(key) for key in s.keys), default=0.0)
-    need = max(_REMAINDER, _FACTOR * chance + _MARGIN, _REMAINDER_SHARE * first)
+    inexact = left[shapes[0].scored.joint - 1] < _LEFT
+    need = max(_REMAINDER, _FACTOR * chance + _MARGIN, _REMAINDER_SHARE * first * inexact)
     return shapes[0] if shapes[0].scored.gain > need else None
 
 
@@ -179,7 +190,7 @@ def _refused(s, stage, t) -> str:
     if t.problem is not None:
         return t.problem
     if t.key in s.retracted:
-        return "retracted: the error of position held out is not lower with it"
+        return "retracted: the error held out is not lower with it, or most of what is missing stays"
     if best is not None and best.key not in s.retracted and tied(best, t):
         return "tied"
     if t.gain <= stage.threshold:

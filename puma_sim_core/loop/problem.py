@@ -24,6 +24,9 @@ from .sampling import Sampled
 _REST_NOISE, _REST_SHARE, _REST_TIME = 4.0, 2e-3, 0.12
 #: share of the record that is kept back, and the length of a block of it [s]
 _HELD_SHARE, _HELD_BLOCK = 0.25, 0.8
+#: where in its period a block lies, the usual place first; power of the residual there, over that
+#: of the other rows, from which on another place is looked for
+_PLACES, _UNLIKE = (0.5, 0.2, 0.8, 0.35, 0.65), 2.0
 #: rows around a kept-back block that count for neither, in time constants of the second filter
 _GUARD = 2.0
 
@@ -41,15 +44,20 @@ class Problem:
     """Logs, a mechanism, and the rows that count.
 
     kept (m,): rows after the second filter; usable (m, J); held (m,): kept back; guard (m,).
+    held_segments : logs that are kept back as a whole; hold_back : whether, without any, blocks of
+    all logs are; place : where each lies in its period, 0..1.
     """
 
-    def __init__(self, sampled: Sampled, mechanism, held_segments=(), hold_back: bool = True):
+    def __init__(self, sampled: Sampled, mechanism, held_segments=(), hold_back: bool = True,
+                 place: float = _PLACES[0]):
         self.sampled = sampled
+        self.place = place
         self.mechanism = mechanism
         self.kept = sampled.kept()
         self.segment = sampled.segment[self.kept]
         self.usable = ~self._resting() & ~self._switching()
-        self.held, self.guard = self._kept_back(frozenset(held_segments), hold_back)
+        self.hold_back = hold_back and not held_segments
+        self.held, self.guard = self._kept_back(frozenset(held_segments))
 
     @cached_property
     def voltage(self) -> np.ndarray:
@@ -69,6 +77,27 @@ class Problem:
     def held_rows(self, joint: int) -> np.ndarray:
         """Numbers of the kept rows that are kept back for a joint."""
         return np.flatnonzero(self.usable[:, joint] & self.held & ~self.guard)
+
+    def like(self, residual: np.ndarray) -> Problem:
+        """This problem, or one whose blocks lie where the rows kept back are more like the others by
+        the residual (m, J) [V] of the retuned model.
+
+        What happened once, such as a blow, cannot be found where it happened in rows kept back.
+        """
+        if not self.hold_back or self._unlike(residual) < _UNLIKE:
+            return self
+        tried = [Problem(self.sampled, self.mechanism, (), True, place) for place in _PLACES]
+        return min(tried, key=lambda problem: problem._unlike(residual))
+
+    def _unlike(self, residual) -> float:
+        """Power of a residual at the rows kept back, and around them, over that of the rows to fit:
+        the most of any joint."""
+        away, ratios = self.held | self.guard, [0.0]
+        for usable, r in zip(self.usable.T, residual.T):
+            kept, fit = r[usable & away], r[usable & ~away]
+            if len(kept) and len(fit):
+                ratios.append(float((kept ** 2).mean() / max((fit ** 2).mean(), 1e-30)))
+        return max(ratios)
 
     def _resting(self) -> np.ndarray:
         s = self.sampled
@@ -100,10 +129,10 @@ class Problem:
                 near[max(0, row - reach):row + reach + 1, j] = True
         return near[self.kept]
 
-    def _kept_back(self, held_segments, hold_back):
+    def _kept_back(self, held_segments):
         s = self.sampled
         held = np.isin(self.segment, list(held_segments))
-        if hold_back and not held_segments:
+        if self.hold_back:
             period = _HELD_BLOCK / _HELD_SHARE
             for rows in self.stretches:
                 time = s.time[self.kept[rows]]
@@ -111,7 +140,7 @@ class Problem:
                 blocks = max(1, int(round(length / period)))
                 phase = (time - time[0]) / max(length, 1e-9) * blocks
                 inside = np.mod(phase, 1.0)
-                held[rows] = np.abs(inside - 0.5) < 0.5 * _HELD_SHARE
+                held[rows] = np.abs(inside - self.place) < 0.5 * _HELD_SHARE
         guard = np.zeros(len(held), dtype=bool)
         reach = int(np.ceil(_GUARD / (s.cutoffs[1] * s.step * s.every)))
         for rows in self.stretches:

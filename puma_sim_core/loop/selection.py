@@ -26,19 +26,22 @@ from .weighting import Weighting
 #: most effects that are added
 MOST_EFFECTS = 4
 #: least gain [nat] of a name, whatever the placebos say
-LEAST_GAIN = 8.0
+LEAST_GAIN = 15.0
 #: what a gain must exceed the placebos' greatest by: a factor and an addend
 PLACEBO_FACTOR, PLACEBO_MARGIN, PLACEBOS = 1.2, 2.0, 24
 #: share of the first effect's gain that a further one must reach: below it stands what the
 #: model of the first one is not exact in
 LEAST_SHARE = 0.015
 #: least gain [nat] of a further name, and of one that does not act on any row kept back
-LEAST_FURTHER, LEAST_UNTRIED = 12.0, 20.0
+LEAST_FURTHER, LEAST_UNTRIED = 20.0, 25.0
 #: hypotheses of a short list, slow and fast, and their least gain in the screening
 _SLOW, _FAST, _LEAST_SCREENED = 8, 4, 2.0
 #: for how many of the best in the screening, and from which share of the best gain there on, all
 #: derivatives are taken anew where a fit does not keep what was promised
 _AGAIN, _WORTH_MORE = 4, 0.03
+#: a joint is far noisier than the others from so many times the median of their noise on; the
+#: price [nat] of a coefficient of what is tried there unasked
+_NOISY, _UNSEEN_PRICE = 3.0, 4.0
 #: gain [nat] that a kind must be better by than one that it contains, and than one it replaces
 PARSIMONY, SWAP = 2.5, 3.0
 #: most times that derivatives are taken anew, at the end and within a stage
@@ -151,6 +154,11 @@ class Selection:
         fit = PredictionFit(self.predictor, weighting)
         pairs = self.trials.free(point, keys)
         final, _ = self._exact(fit, point, pairs, gain=0.5, times=_REFITS)
+        if keys:
+            # the noise in which the names were chosen is of trials by all their rivals
+            weighting = colour.weighting(self.predictor, self._raw(final.point))
+            fit = PredictionFit(self.predictor, weighting)
+            final, _ = self._exact(fit, final.point, pairs, gain=0.5, times=_REFITS)
         final = replace(final, jacobian=fit.white(fit.derivatives(final.point, pairs)))
         if not keys:
             # without any effect the retuned model is the final one
@@ -202,7 +210,7 @@ class Selection:
         causal = CausalScreen(fit, base.point, base.errors, known, self.problem)
         slow = self._slow(keys, base)
         fast = self._fast(causal, keys)
-        short = _joined(slow[:_SLOW], fast[:_FAST])
+        short = self._completed(_joined(slow[:_SLOW], fast[:_FAST]), causal, keys)
         top = max((s.gain for s in short), default=0.0)
         # a model of two masses a joint takes some ten times as long
         most = 1 if any(name in TWO_MASSES for name, _ in keys) else _AGAIN
@@ -319,6 +327,31 @@ class Selection:
         return [s for s in stage.scores if s.values is not None and s.gain > _LEAST_SCREENED
                 and (s.name, s.joint) not in keys]
 
+    def _completed(self, short, causal: CausalScreen, keys) -> list[Scored]:
+        """The short list with what the screening has no eye for: the kinds that one which fits any
+        single event contains, and at a joint far noisier than the others those that may be the
+        noise."""
+        taken = {(s.name, s.joint) for s in short} | set(keys)
+        found = list(short)
+        for s in short:
+            screening = self.library[s.name].screening
+            for name in screening.contains if screening.generous else ():
+                if name in self.library and (name, s.joint) not in taken:
+                    candidates = self.library[name].screening.candidates(causal.signals,
+                                                                         s.joint - 1)
+                    scored = causal.score(name, s.joint, candidates)
+                    if scored is not None and scored.values is not None:
+                        found.append(scored)
+        two = {joint for name, joint in keys if name in TWO_MASSES}
+        volts = self.predictor.volts
+        for j in np.flatnonzero(volts > _NOISY * np.median(volts)):
+            for name, kind in self.library.items():
+                values = kind.screening.unseen
+                if values is not None and j + 1 not in two and (name, j + 1) not in taken:
+                    found.append(Scored(name, int(j) + 1, 0.0, 0.0, None, None, None, values,
+                                        price=_UNSEEN_PRICE * len(values)))
+        return found
+
     def _fast(self, causal: CausalScreen, keys) -> list[Scored]:
         found = []
         for name, kind in self.library.items():
@@ -348,10 +381,10 @@ class Selection:
         return greatest
 
     def _parsimonious(self, best: Trial, trials) -> Trial:
-        contained = self.library[best.name].screening.contains
+        screening = self.library[best.name].screening
+        room = max(PARSIMONY, max(_EXACT, screening.generous) * best.gain)
         simpler = [t for t in trials if t.problem is None and t.joint == best.joint
-                   and t.name in contained
-                   and t.gain > best.gain - max(PARSIMONY, _EXACT * best.gain)]
+                   and t.name in screening.contains and t.gain > best.gain - room]
         return max(simpler, key=lambda t: t.gain) if simpler else best
 
     def _rivals(self, stages, key, keys) -> list[Trial]:

@@ -33,8 +33,7 @@ _STARTS = (0.7, 0.8, 0.87, 0.94, 1.0, 1.07, 1.15, 1.3)
 _UNTOUCHED, _UNTOUCHED_SHARE = 1.5, 0.03
 #: parameters that a screening gives and a fit leaves alone
 STRUCTURAL = frozenset({"motor_share", "order", "ratio", "transmitted"})
-_STRUCTURAL_OF = {"payload": {"y"}, "backlash": STRUCTURAL | {"stiffness", "damping"},
-                  "transmission_error": set()}
+_STRUCTURAL_OF = {"payload": {"y"}, "transmission_error": set()}
 #: effects that give a joint two masses
 TWO_MASSES = frozenset({"backlash", "joint_elasticity"})
 _IMPOSSIBLE = "it would need an impossible value"

@@ -1,75 +1,98 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""Errors before and after, on the rows that were fitted and on those that were kept back (step 7)."""
+"""Errors before and after, on the rows that were fitted and on those that were kept back (step 7).
+
+The residual in volts, and the error of the position in open loop: in windows of half a second the
+model sees the voltages alone. Each starts from the state to which the model's own observer has come
+along the log, which holds what no sensor shows: currents, bristles, where in its play a gear is.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
+from ..errors import NonFiniteStateError
+from .prediction import SETTLING
 from .result import Errors, StageErrors
-from .windows import Windows, run_windows
 
 #: length of an open-loop window [s], and the shortest one that counts
 _WINDOW, _SHORTEST = 0.5, 0.3
-#: standard deviations of the noise of a smoothed start position, as a share of a raw sample's
-_SMOOTHED = 0.3
-_SETTLED = 0.15
+#: what an error of position is set to where the state does not stay finite [rad or m]
+FAR_OFF = 1e3
 
 
 class Validation:
-    """The windows of a problem's logs, fit and held out apart."""
+    """The windows of a problem's logs, fit and held out apart.
 
-    def __init__(self, problem, logs, seed: int):
+    problem : `Problem`; predictor : `Predictor` of the same logs.
+    """
+
+    def __init__(self, problem, predictor):
         self.problem = problem
-        self.seed = seed
-        self.windows = {"fit": [], "held_out": []}
-        s = problem.sampled
-        for number, (log, rows) in enumerate(zip(logs, s.stretches)):
-            kept = problem.kept[problem.segment == number]
-            time, held = s.time[kept], problem.held[problem.segment == number]
-            for key, inside in (("fit", ~held), ("held_out", held)):
-                spans = _spans(time, inside)
-                starts, ends = _windows(log.time, spans)
-                if len(starts):
-                    at = log.time[starts]
-                    motion = tuple(np.column_stack([
-                        np.interp(at, s.time[rows], a[rows, j]) for j in range(s.joints)])
-                        for a in (s.position, s.velocity, s.acceleration))
-                    self.windows[key].append(Windows.of(
-                        log.time, log.voltage, log.position, log.enable, starts=starts,
-                        ends=ends, motion=motion))
+        self.predictor = predictor
+        #: for each log: the window that a row of the observer is in, -1 for none
+        self.windows: list[np.ndarray] = []
+        self.rows = {"fit": [], "held_out": []}
+        for number, stretch in enumerate(predictor.stretches):
+            time = stretch.time[1:]
+            inside = np.full(len(time), -1)
+            own = problem.segment == number
+            kept, held = problem.sampled.time[problem.kept[own]], problem.held[own]
+            spans = sorted((*span, key) for key, chosen in (("fit", ~held), ("held_out", held))
+                           for span in _spans(kept, chosen))
+            masks = {key: np.zeros(len(time), dtype=bool) for key in self.rows}
+            for low, high, key in spans:
+                for rows in _windows(time, max(low, float(time[0]) + SETTLING), high):
+                    inside[rows] = inside.max() + 1
+                    masks[key][rows] = True
+            self.windows.append(inside)
+            for key, mask in masks.items():
+                self.rows[key].append(mask)
+        self.rows = {key: np.concatenate(masks) for key, masks in self.rows.items()}
+
+    def position_errors(self, plant) -> np.ndarray:
+        """(N, J) open-loop errors [rad or m] at the observer's rows, 0 outside the windows.
+
+        Windows take turns, so that before each the observer has had time to come back.
+        """
+        p = self.predictor
+        total = np.zeros(p.fit_rows.shape)
+        for turn in (0, 1):
+            free = [(w >= 0) & (w % 2 == turn) for w in self.windows]
+            open_loop = np.concatenate(free)
+            if not open_loop.any():
+                continue
+            try:
+                parts = p.tracked(plant, [~rows for rows in free])
+                errors = np.concatenate([part.innovation for part in parts])
+            except NonFiniteStateError:
+                errors = np.full(total.shape, FAR_OFF)
+            total[open_loop] = np.clip(errors[open_loop], -FAR_OFF, FAR_OFF)
+        return total
 
     def position_rms(self, plant, key: str) -> np.ndarray:
         """(J,) of the open-loop windows of "fit" or "held_out"; NaN without any."""
-        squares, count = 0.0, 0
-        for windows in self.windows[key]:
-            error = run_windows(plant, windows).error
-            squares, count = squares + (error ** 2).sum(axis=0), count + len(error)
-        J = self.problem.sampled.joints
-        return np.sqrt(squares / count) if count else np.full(J, np.nan)
+        return self._rms(self.position_errors(plant), key)
 
-    def position_floor(self, plant, key: str, volts: np.ndarray) -> np.ndarray:
-        """(J,) what noise alone makes of the windows: the model against itself with the noise of
-        voltage (J,) [V a row] and of the start state."""
-        s, rng = self.problem.sampled, np.random.default_rng(self.seed)
-        squares, count = 0.0, 0
-        for w in self.windows[key]:
-            clean = run_windows(plant, w)
-            noisy = Windows.of(
-                w.time, w.voltage + volts * rng.standard_normal(w.voltage.shape), w.position,
-                w.enable, starts=w.starts, ends=w.ends,
-                motion=(w.start_position + _SMOOTHED * s.position_noise
-                        * rng.standard_normal(w.start_position.shape),
-                        w.start_velocity + s.velocity_noise
-                        * rng.standard_normal(w.start_velocity.shape), w.start_acceleration))
-            moved = run_windows(plant, noisy)
-            for a, b in zip(clean.predicted, moved.predicted):
-                d = (a - b)[1:]
-                squares, count = squares + (d ** 2).sum(axis=0), count + len(d)
-        return (np.sqrt(squares / count + s.position_noise ** 2) if count
-                else np.full(s.joints, np.nan))
+    def _rms(self, errors, key) -> np.ndarray:
+        rows = self.rows[key]
+        return (np.sqrt((errors[rows] ** 2).mean(axis=0)) if rows.any()
+                else np.full(errors.shape[1], np.nan))
 
-    def errors(self, plants: dict, residuals: dict, predictor, volts: np.ndarray,
+    def position_floor(self, key: str, volts: np.ndarray) -> np.ndarray:
+        """(J,) what noise alone makes of the windows, each joint by itself: that of the state at
+        the start, of the voltages volts (J,) [V a row], and of the sensor. NaN without windows."""
+        noise = self.problem.sampled.position_noise
+        number = np.concatenate([np.where(w < 0, -1, w + 10_000_000 * n)
+                                 for n, w in enumerate(self.windows)])
+        lengths = np.unique(number[self.rows[key]], return_counts=True)[1]
+        if not len(lengths):
+            return np.full(len(noise), np.nan)
+        spread = self.predictor.open_loop_variance(volts, noise, int(lengths.max()))
+        total = np.cumsum(spread, axis=0)[lengths - 1].sum(axis=0)
+        return np.sqrt(total / lengths.sum())
+
+    def errors(self, plants: dict, residuals: dict, volts: np.ndarray,
                floor: np.ndarray) -> dict[str, Errors]:
         """Both tables.
 
@@ -77,18 +100,17 @@ class Validation:
         that it lacks at the observer's rows; volts (J,): noise of a row's voltage; floor (J,): that
         of the residual [V].
         """
-        result = {}
-        for key, rows in (("fit", predictor.fit_rows), ("held_out", predictor.held_rows)):
-            position = {name: self.position_rms(plant, key) for name, plant in plants.items()}
-            voltage = {name: _rms(values, rows) for name, values in residuals.items()}
-            result[key] = Errors(
-                StageErrors(**voltage, floor=floor),
-                StageErrors(**position,
-                            floor=self.position_floor(plants["augmented"], key, volts)))
+        p, result = self.predictor, {}
+        open_loop = {name: self.position_errors(plant) for name, plant in plants.items()}
+        for key, rows in (("fit", p.fit_rows), ("held_out", p.held_rows)):
+            position = {name: self._rms(errors, key) for name, errors in open_loop.items()}
+            voltage = {name: rms(values, rows) for name, values in residuals.items()}
+            result[key] = Errors(StageErrors(**voltage, floor=floor),
+                                 StageErrors(**position, floor=self.position_floor(key, volts)))
         return result
 
 
-def _rms(values, rows) -> np.ndarray:
+def rms(values, rows) -> np.ndarray:
     """(J,) root mean squares of the rows (N, J) that count; NaN without any."""
     return np.array([np.sqrt((values[rows[:, j], j] ** 2).mean()) if rows[:, j].any() else np.nan
                      for j in range(values.shape[1])])
@@ -100,19 +122,12 @@ def _spans(time, inside) -> list[tuple[float, float]]:
     return [(float(time[a]), float(time[b - 1])) for a, b in zip(change[::2], change[1::2])]
 
 
-def _windows(time, spans) -> tuple[list[int], list[int]]:
-    """First and last rows of windows that lie within the spans."""
-    starts, ends = [], []
-    for low, high in spans:
-        low = max(low, float(time[0]) + _SETTLED)
-        count = max(1, int((high - low) / _WINDOW))
-        length = min(_WINDOW, high - low)
-        if length < _SHORTEST:
-            continue
-        for k in range(count):
-            a = int(np.searchsorted(time, low + k * length))
-            b = int(np.searchsorted(time, low + (k + 1) * length, side="right")) - 1
-            if b > a + 3:
-                starts.append(a)
-                ends.append(b)
-    return starts, ends
+def _windows(time, low, high) -> list[slice]:
+    """Rows of the windows that a span [s] holds: those after the start of each."""
+    length = high - low
+    if length < _SHORTEST:
+        return []
+    count = max(1, int(length / _WINDOW))
+    edges = low + min(_WINDOW, length) * np.arange(count + 1)
+    rows = np.searchsorted(time, edges, side="right")
+    return [slice(a, b) for a, b in zip(rows[:-1].tolist(), rows[1:].tolist()) if b > a + 3]

@@ -41,19 +41,22 @@ class Bench:
                         if kind.screening is not None and m.possible(name)}
         self.search = Search(self.problem, self.library)
         self.retuned = self.search.retune(m.start)
-        self.validation = Validation(self.problem, [log], 0)
-        self.log = log
+        alike = self.problem.like(self.retuned.residual())
+        if alike is not self.problem:
+            self.problem, self.search = alike, Search(alike, self.library)
+            self.retuned = self.search.retune(self.retuned.theta)
+        self.predictor = Predictor([log], m, [_held(self.problem, 0)],
+                                   _row_noise(self.search, self.retuned),
+                                   self.problem.sampled.position_noise)
+        self.validation = Validation(self.problem, self.predictor)
 
     def true_structure(self, answer: dict) -> list[float] | None:
         """(J,) position errors [rad] of the true structure; None where it cannot be run."""
-        m, p = self.mechanism, self.problem
+        m, predictor = self.mechanism, self.predictor
         try:
             true = m.of_plant(_true_arm(m, answer["parameters"]))
             effects = _true_effects(m, true.start, answer["effects"])
-            predictor = Predictor([self.log], m, [_held(p, 0)],
-                                  _row_noise(self.search, self.retuned),
-                                  p.sampled.position_noise)
-            trials = Trials(predictor, p)
+            trials = Trials(predictor, self.problem)
             point = Point(m.clip(true.start), effects)
             raw = predictor.errors(m.plant(point.theta, effects))
             weighting = predictor.white_weighting(raw)

@@ -151,5 +151,7 @@ SCREENINGS = {
             ("soft_stop", "it comes at one time, not at one position")),
         excitation="None can show it again: a blow is not repeatable; repeat the motion to see "
                    "that it is gone.",
+        # a limit that was met once leaves the mark of a blow, whose time, width and torque are free
+        contains=("current_limit", "voltage_saturation", "soft_stop"), generous=0.03,
         plausible=(("torque", 5.0, 300.0), ("width", 0.02, 0.15))),
 }

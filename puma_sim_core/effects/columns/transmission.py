@@ -71,13 +71,12 @@ def backlash(signals: Signals, joint: int) -> list[Candidate]:
         return []
     inertia, torque = link_side(signals, joint)
     stiffness, damping, gaps = _CONTACT_STIFFNESS, _CONTACT_DAMPING, _GAPS
-    contact = {}
     if not is_arm(signals):
         mean = float(inertia.mean())
         stiffness = mean * (2.0 * np.pi * 60.0) ** 2
         damping = 0.3 * float(np.sqrt(stiffness * mean))
         gaps = gaps * min(1.0, float(np.ptp(signals.position[:, joint])))
-        contact = {"stiffness": float(stiffness), "damping": float(damping)}
+    contact = {"stiffness": float(stiffness), "damping": float(damping)}
     found = []
     for gap in gaps:
         def values(c, gap=float(gap)):
@@ -267,5 +266,6 @@ SCREENINGS = {
                                   "not at low speed")),
         excitation="Changes of sign of the torque at the link: bang-bang on joint 1, upright or "
                    "hanging links on joints 2 and 3.",
-        plausible=(("gap", 5e-5, 5e-3),), fast=True),
+        plausible=(("gap", 5e-5, 5e-3),), fast=True,
+        unseen={"gap": 2e-4, "stiffness": 5e5, "damping": 150.0}),
 }

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""Open-loop windows of logs of any mechanism, what is kept back, and their floor."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mechanism_support import NAMES
+from puma_sim_core.effects import parse_effect
+from puma_sim_core.loop.ingest import Log
+from puma_sim_core.loop.prediction import Predictor, stable_step
+from puma_sim_core.loop.problem import Problem
+from puma_sim_core.loop.sampling import sample
+from puma_sim_core.loop.validate import FAR_OFF, Validation
+from puma_sim_core.mechanisms import load_mechanism
+from puma_sim_core.simulator import Simulator
+
+STEP, SECONDS = 2e-3, 10.0
+START = [0.1, -0.9, 1.1]
+
+
+def record(mechanism, plant, volts=0.0, noise=0.0, enable=None, seconds=SECONDS):
+    """A log of a plant with white noise of the voltage [V] and of the positions."""
+    J, rng = mechanism.joints, np.random.default_rng(3)
+    time = np.arange(0.0, seconds, STEP)
+    voltage = sum(a * np.sin(w * time[:, None] + w * np.arange(J))
+                  for a, w in ((3.0, 2.1), (2.0, 5.3)))
+    simulator = Simulator(plant, max_step=1e-3)
+    simulator.reset(START[:J])
+    run = simulator.run(time, voltage + volts * rng.standard_normal(voltage.shape),
+                        enable=enable)
+    on = None if enable is None else np.repeat(enable[:, None], J, axis=1)
+    return Log("own", time, voltage, run.position + noise * rng.standard_normal(voltage.shape),
+               enable=on)
+
+
+def validation(mechanism, log, volts=0.02, noise=1e-6):
+    problem = Problem(sample([log]), mechanism)
+    held = np.interp(log.time, problem.sampled.time[problem.kept], problem.held.astype(float))
+    return Validation(problem, Predictor(
+        [log], mechanism, [lambda t: np.interp(t, log.time, held) > 0.5],
+        np.full(mechanism.joints, volts), np.full(mechanism.joints, noise)))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_windows_of_the_true_plant_stay_on_the_log(name):
+    mechanism = load_mechanism(name)
+    seen = validation(mechanism, record(mechanism, mechanism.plant()))
+    for key in ("fit", "held_out"):
+        true = seen.position_rms(mechanism.plant(), key)
+        # what the slopes at the start of the log leave of an error
+        assert (true < 1e-4).all()
+        assert (seen.position_rms(mechanism.plant(mechanism.start * 1.1), key) > 10.0 * true).all()
+
+
+def test_windows_are_apart_and_take_turns():
+    mechanism = load_mechanism("pendulum")
+    seen = validation(mechanism, record(mechanism, mechanism.plant()))
+    windows, = seen.windows
+    time = seen.predictor.stretches[0].time[1:]
+    assert not (seen.rows["fit"] & seen.rows["held_out"]).any()
+    held = np.unique(windows[seen.rows["held_out"]])
+    fit = np.unique(windows[seen.rows["fit"]])
+    assert len(held) >= 3 and len(fit) >= 8 and not set(held) & set(fit)
+    for number in range(windows.max() + 1):
+        rows = np.flatnonzero(windows == number)
+        assert (np.diff(rows) == 1).all()
+        assert 0.3 <= time[rows[-1]] - time[rows[0]] <= 0.5
+    # in time they come in the order of their numbers, so that every second one is the other turn's
+    inside = windows[windows >= 0]
+    assert (np.diff(inside) >= 0).all()
+
+
+def test_a_window_is_the_model_by_itself_from_its_start_on():
+    mechanism = load_mechanism("pendulum")
+    log = record(mechanism, mechanism.plant(), volts=0.3, noise=1e-4)
+    seen = validation(mechanism, log, volts=0.3, noise=1e-4)
+    plant = mechanism.plant(mechanism.start * 1.05)
+    errors = seen.position_errors(plant)
+    rows = np.flatnonzero(seen.windows[0] == 4)
+    stretch = seen.predictor.stretches[0]
+    closed = [np.ones(len(w), dtype=bool) for w in seen.windows]
+    closed[0][seen.windows[0] % 2 == 0] = False
+    tracked = seen.predictor.tracked(plant, closed)[0]
+    # by hand: from the corrected state of the row before, by the simulator alone
+    k = rows[0] - 1
+    gain = seen.predictor.gain[0]
+    state = [tracked.position[k, 0] + gain[0] * tracked.innovation[k, 0],
+             tracked.velocity[k, 0] + gain[1] * tracked.innovation[k, 0]]
+    simulator = Simulator(plant, max_step=stable_step(plant, 1.2e-3))
+    # its winding has no inductance, so that there is no more to the state
+    simulator.reset([state[0]], [state[1]], [0.0], time=stretch.time[rows[0]])
+    run = simulator.run(stretch.time[rows[0]:rows[-1] + 2],
+                        stretch.voltage[rows[0]:rows[-1] + 2])
+    expected = stretch.position[rows + 1, 0] - run.position[1:, 0]
+    assert np.abs(errors[rows, 0] - expected).max() < 1e-9
+
+
+def test_windows_know_where_in_its_play_a_gear_is():
+    mechanism = load_mechanism()
+    play = parse_effect("backlash:joint=2,gap=0.002")
+    plant = mechanism.plant(mechanism.start, (play,))
+    seen = validation(mechanism, record(mechanism, plant, seconds=6.0))
+    true = seen.position_rms(plant, "held_out")
+    rigid = seen.position_rms(mechanism.plant(), "held_out")
+    assert true[1] < 0.1 * rigid[1]
+
+
+def test_windows_know_when_the_drive_is_off():
+    mechanism = load_mechanism("pendulum")
+    time = np.arange(0.0, SECONDS, STEP)
+    enable = (np.mod(time, 2.0) < 1.5).astype(float)
+    log = record(mechanism, mechanism.plant(), enable=enable)
+    blind = Log("own", log.time, log.voltage, log.position)
+    aware = validation(mechanism, log).position_rms(mechanism.plant(), "fit")
+    assert aware[0] < 1e-4
+    assert validation(mechanism, blind).position_rms(mechanism.plant(), "fit")[0] > 0.02
+
+
+def test_the_floor_is_what_a_true_model_reaches():
+    mechanism = load_mechanism()
+    volts, noise = 0.3, 5e-5
+    log = record(mechanism, mechanism.plant(), volts, noise, seconds=40.0)
+    seen = validation(mechanism, log, volts, noise)
+    seen.problem.sampled.position_noise[:] = noise
+    for key in ("fit", "held_out"):
+        ratio = seen.position_rms(mechanism.plant(), key) / seen.position_floor(
+            key, np.full(3, volts))
+        # each joint by itself, with its mean inertia
+        assert (ratio > 0.6).all() and (ratio < 1.6).all()
+
+
+def test_a_state_that_does_not_stay_finite_counts_as_far_off():
+    mechanism = load_mechanism("pendulum")
+    log = record(mechanism, mechanism.plant())
+    wild = Log("own", log.time, np.where(log.time[:, None] > 5.0, 1e300, log.voltage),
+               log.position)
+    seen = validation(mechanism, log)
+    seen.predictor.stretches[0].voltage[2000:] = wild.voltage[2000:2000 + len(
+        seen.predictor.stretches[0].voltage) - 2000]
+    assert 0.5 * FAR_OFF < seen.position_rms(mechanism.plant(), "fit")[0] <= FAR_OFF
+
+
+def test_blocks_lie_where_rows_kept_back_are_like_the_others():
+    mechanism = load_mechanism("pendulum")
+    problem = Problem(sample([record(mechanism, mechanism.plant())]), mechanism)
+    quiet = np.ones((len(problem.kept), 1))
+    assert problem.like(quiet) is problem
+    blow = quiet.copy()
+    centre = np.flatnonzero(problem.held)[3]
+    blow[centre - 1:centre + 2] = 50.0
+    other = problem.like(blow)
+    assert other is not problem and not (other.held | other.guard)[centre - 1:centre + 2].any()
+    assert abs(other.held.mean() - problem.held.mean()) < 0.05
+    kept = Problem(problem.sampled, mechanism, (), hold_back=False)
+    assert kept.like(blow) is kept
