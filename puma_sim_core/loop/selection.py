@@ -32,8 +32,9 @@ PLACEBO_FACTOR, PLACEBO_MARGIN, PLACEBOS = 1.2, 2.0, 24
 #: share of the first effect's gain that a further one must reach: below it stands what the
 #: model of the first one is not exact in
 LEAST_SHARE = 0.015
-#: least gain [nat] of a further name, and of one that does not act on any row kept back
-LEAST_FURTHER, LEAST_UNTRIED = 20.0, 25.0
+#: least gain [nat] of a further name, and of one that does not act on any row kept back; least
+#: share of the first effect's gain of one that is both
+LEAST_FURTHER, LEAST_UNTRIED, UNTRIED_SHARE = 20.0, 25.0, 0.03
 #: hypotheses of a short list, slow and fast, and their least gain in the screening
 _SLOW, _FAST, _LEAST_SCREENED = 8, 4, 2.0
 #: for how many of the best in the screening, and from which share of the best gain there on, all
@@ -210,10 +211,12 @@ class Selection:
         causal = CausalScreen(fit, base.point, base.errors, known, self.problem)
         slow = self._slow(keys, base)
         fast = self._fast(causal, keys)
-        short = self._completed(_joined(slow[:_SLOW], fast[:_FAST]), causal, keys)
-        top = max((s.gain for s in short), default=0.0)
         # a model of two masses a joint takes some ten times as long
-        most = 1 if any(name in TWO_MASSES for name, _ in keys) else _AGAIN
+        heavy = any(name in TWO_MASSES for name, _ in keys)
+        share = 2 if heavy else 1
+        short = self._completed(_joined(slow[:_SLOW // share], fast[:_FAST // share]), causal, keys)
+        top = max((s.gain for s in short), default=0.0)
+        most = 1 if heavy else _AGAIN
         far = {id(s) for s in sorted(short, key=lambda s: -s.gain)[:most]
                if s.gain > max(LEAST_GAIN, _WORTH_MORE * top)}
         trials = [self.trials.run(fit, base, known, known_free, s, again=id(s) in far)
@@ -241,13 +244,16 @@ class Selection:
         if best is not None and best.gain > LEAST_GAIN:
             chance = self._placebo(fit, best, short)
             accepted = self._parsimonious(best, trials)
+        untried = LEAST_UNTRIED
         threshold = max(LEAST_GAIN, PLACEBO_FACTOR * chance + PLACEBO_MARGIN)
         if stages and stages[0].accepted is not None:
-            threshold = max(threshold, LEAST_FURTHER, LEAST_SHARE * stages[0].accepted.gain)
+            first = stages[0].accepted.gain
+            threshold = max(threshold, LEAST_FURTHER, LEAST_SHARE * first)
+            untried = max(untried, UNTRIED_SHARE * first)
         # one that does not lower the error on rows kept back gives way to the next that does
         passing = [t for t in trials if t.problem is None and t.held_gain > 0.0
                    and t.gain > max(threshold, _GIVING_WAY * best.gain,
-                                    LEAST_UNTRIED if t.untried else 0.0)
+                                    untried if t.untried else 0.0)
                    ] if best else []
         if accepted is not None and accepted not in passing:
             accepted = self._parsimonious(passing[0], passing) if passing else None

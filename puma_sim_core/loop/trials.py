@@ -105,9 +105,15 @@ class Trials:
             starts = [Point(self.mechanism.start, start.effects)]
             if fitted is not None and scored.entry is not None and scored.entry.candidate.fixed:
                 starts.append(fitted.point)
-            rounds = 2 if scored.name in TWO_MASSES else 3
-            found = [fitted, *(fit.run(at, (*known_free, *free), rounds=rounds)
-                               for at in starts)]
+            if scored.name in TWO_MASSES:
+                # a model of two masses takes ten times as long to run, and answers to the arm's
+                # parameters much as the rigid one does
+                rigid = fit.white(fit.derivatives(Point(self.mechanism.start, base.point.effects),
+                                                  known_free))
+                found = [fitted, *(fit.run(at, free, known=rigid, known_free=known_free, rounds=6)
+                                   for at in starts)]
+            else:
+                found = [fitted, *(fit.run(at, (*known_free, *free), rounds=3) for at in starts)]
             fitted = min((f for f in found if f is not None), key=lambda f: f.objective,
                          default=None)
         if fitted is None:
