@@ -28,6 +28,7 @@ from ..simulator import Simulator
 from ..restart import driven_current, local_motion, true_start
 from ..tracking import Tracked, innovations
 from . import filters
+from .parallel import each
 from .weighting import Weighting
 
 #: time at the start of a log that the observer is given to settle [s]
@@ -330,14 +331,8 @@ class PredictionFit:
         if raw is None:
             raise ParameterError("a model that cannot be run along the log", where="prediction",
                                  expected="the parameters of a fit")
-        columns = []
-        for k, width in enumerate(self.mechanism.deviations):
-            theta = point.theta.copy()
-            theta[k] += _DIFFERENCE * width
-            moved = self._raw(Point(theta, point.effects))
-            columns.append(np.zeros_like(raw) if moved is None else (moved - raw) / _DIFFERENCE)
-        for number, name in pairs:
-            columns.append(self._by_effect(point, raw, number, name))
+        columns = each(lambda k: self._by_parameter(point, raw, k), range(len(point.theta)))
+        columns += each(lambda pair: self._by_effect(point, raw, *pair), pairs)
         return (np.stack(columns, axis=2) if columns
                 else np.zeros((*raw.shape, 0)))
 
@@ -350,6 +345,12 @@ class PredictionFit:
             return self.predictor.errors(self.mechanism.plant(point.theta, point.effects))
         except (NonFiniteStateError, ParameterError):
             return None
+
+    def _by_parameter(self, point, raw, number) -> np.ndarray:
+        theta = point.theta.copy()
+        theta[number] += _DIFFERENCE * self.mechanism.deviations[number]
+        moved = self._raw(Point(theta, point.effects))
+        return np.zeros_like(raw) if moved is None else (moved - raw) / _DIFFERENCE
 
     def _by_effect(self, point, raw, number, name) -> np.ndarray:
         effect = point.effects[number]

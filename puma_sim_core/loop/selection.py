@@ -18,6 +18,7 @@ import numpy as np
 from . import colour
 from .causal import CausalScreen
 from .evidence import Scored
+from .parallel import each
 from .prediction import Fitted, Point, PredictionFit, Predictor
 from .search import Search
 from .trials import TWO_MASSES, Trial, Trials
@@ -219,8 +220,8 @@ class Selection:
         most = 1 if heavy else _AGAIN
         far = {id(s) for s in sorted(short, key=lambda s: -s.gain)[:most]
                if s.gain > max(LEAST_GAIN, _WORTH_MORE * top)}
-        trials = [self.trials.run(fit, base, known, known_free, s, again=id(s) in far)
-                  for s in short]
+        trials = each(lambda s: self.trials.run(fit, base, known, known_free, s,
+                                                again=id(s) in far), short)
         base, raw, trials = self._rebased(fit, base, raw, known_free, trials)
         # gains are those in the noise that the best explanation of each joint leaves
         before = fit, base, raw, trials
@@ -228,9 +229,9 @@ class Selection:
         fit = PredictionFit(self.predictor, weighting)
         base, raw = self._exact(fit, base.point, known_free, raw)
         known = fit.white(raw)
-        trials = [t if t.fitted is None else
-                  self.trials.run(fit, base, known, known_free, s, t.fitted.point)
-                  for s, t in zip(short, trials)]
+        trials = each(lambda pair: pair[1] if pair[1].fitted is None else
+                      self.trials.run(fit, base, known, known_free, pair[0],
+                                      pair[1].fitted.point), zip(short, trials))
         if self._held_volts(*before) < _BETTER * self._held_volts(fit, base, raw, trials):
             # what no effect explains was taken for noise, and the fit has moved away from it
             fit, base, raw, trials = before

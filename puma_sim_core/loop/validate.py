@@ -30,9 +30,10 @@ class Validation:
     def __init__(self, problem, predictor):
         self.problem = problem
         self.predictor = predictor
-        #: for each log: the window that a row of the observer is in, -1 for none
+        #: for each log: the number of the window that a row of the observer is in, -1 for none
         self.windows: list[np.ndarray] = []
-        self.rows = {"fit": [], "held_out": []}
+        masks: dict[str, list[np.ndarray]] = {"fit": [], "held_out": []}
+        count = 0
         for number, stretch in enumerate(predictor.stretches):
             time = stretch.time[1:]
             inside = np.full(len(time), -1)
@@ -40,15 +41,16 @@ class Validation:
             kept, held = problem.sampled.time[problem.kept[own]], problem.held[own]
             spans = sorted((*span, key) for key, chosen in (("fit", ~held), ("held_out", held))
                            for span in _spans(kept, chosen))
-            masks = {key: np.zeros(len(time), dtype=bool) for key in self.rows}
+            for mask in masks.values():
+                mask.append(np.zeros(len(time), dtype=bool))
             for low, high, key in spans:
                 for rows in _windows(time, max(low, float(time[0]) + SETTLING), high):
-                    inside[rows] = inside.max() + 1
-                    masks[key][rows] = True
+                    inside[rows] = count
+                    masks[key][-1][rows] = True
+                    count += 1
             self.windows.append(inside)
-            for key, mask in masks.items():
-                self.rows[key].append(mask)
-        self.rows = {key: np.concatenate(masks) for key, masks in self.rows.items()}
+        #: rows (N,) of the observer in the windows of "fit" and of "held_out"
+        self.rows = {key: np.concatenate(parts) for key, parts in masks.items()}
 
     def position_errors(self, plant) -> np.ndarray:
         """(N, J) open-loop errors [rad or m] at the observer's rows, 0 outside the windows.
@@ -83,8 +85,7 @@ class Validation:
         """(J,) what noise alone makes of the windows, each joint by itself: that of the state at
         the start, of the voltages volts (J,) [V a row], and of the sensor. NaN without windows."""
         noise = self.problem.sampled.position_noise
-        number = np.concatenate([np.where(w < 0, -1, w + 10_000_000 * n)
-                                 for n, w in enumerate(self.windows)])
+        number = np.concatenate(self.windows)
         lengths = np.unique(number[self.rows[key]], return_counts=True)[1]
         if not len(lengths):
             return np.full(len(noise), np.nan)
