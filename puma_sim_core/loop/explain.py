@@ -37,6 +37,9 @@ _MUCH = 150.0
 #: the most, and for a nat: a few windows, most of whose error comes from the parameters, say less
 #: than all rows do
 _UNTRIED_ROOM, _CLEAR, _CLEAR_ROOM, _MOST_ROOM, _A_NAT = 1.03, 10.0, 1.02, 1.15, 1e-3
+#: what a free curve may leave of a joint's squared innovations, in terms of what the names leave,
+#: to put them in doubt: measured ones are never explained to the end by either
+_CLEARLY_LESS = 0.95
 #: placebos of the shapes
 _SHIFTS = 24
 
@@ -145,11 +148,14 @@ class Analysis:
         """Steps 7 to 11."""
         m, p = self.mechanism, self.problem
         self.progress("what is left", 0.87)
-        shapes, chance = self._shapes(self.selected.final)
+        shapes, chance, _ = self._shapes(self.selected.final)
         if outcome.doubtful(self.selected, shapes, chance, self._left()):
-            for key in self.selected.keys:
-                self.selected = self.selection.without(self.selected, key)
-            shapes, chance = self._shapes(self.selected.final)
+            bare = self.selected
+            for key in bare.keys:
+                bare = self.selection.without(bare, key)
+            curves, by_chance, causal = self._shapes(bare.final)
+            if self._better(causal, curves):
+                self.selected, shapes, chance = bare, curves, by_chance
         s = self.selected
         final = s.final
         fit = PredictionFit(self.predictor, s.weighting)
@@ -190,9 +196,20 @@ class Analysis:
         floor = self._less(point) * self.predictor.floor_in_volts(cutoff)
         return rms(volts, self.predictor.fit_rows) / floor
 
-    def _shapes(self, final) -> tuple[list, float]:
+    def _better(self, causal, curves) -> bool:
+        """Whether the best of the curves about a model without names leaves clearly less of its joint's
+        innovations than the names do, in the noise that the curve leaves."""
+        if not curves:
+            return False
+        best = curves[0].scored
+        rows = self.predictor.fit_rows[:, best.joint - 1]
+        left = causal.left(best.entry.candidate, best.coefficients)[rows, best.joint - 1]
+        named = causal.fit.weighting(self._raw(self.selected.final.point))[rows, best.joint - 1]
+        return left @ left < _CLEARLY_LESS * (named @ named)
+
+    def _shapes(self, final) -> tuple[list, float, CausalScreen]:
         """Free curves against what is left, in the noise that the best of them leaves; the greatest
-        gain that chance gives any of them (step 10)."""
+        gain that chance gives any of them; the screen that they are scored in (step 10)."""
         predictor, unit = self.predictor, self.mechanism.position_unit
         # the first noise is the least that the innovations allow: one fitted to all that is left
         # would take what is missing for noise
@@ -207,7 +224,7 @@ class Analysis:
         found = shape.curves(causal, unit)
         rng = np.random.default_rng(self.seed + 1)
         shifts = np.sort(rng.uniform(0.06, 0.94, _SHIFTS))
-        return found, shape.chance(causal, found, shifts)
+        return found, shape.chance(causal, found, shifts), causal
 
     def _raw(self, point) -> np.ndarray:
         return self.predictor.errors(self.mechanism.plant(point.theta, point.effects))

@@ -33,9 +33,9 @@ PLACEBO_FACTOR, PLACEBO_MARGIN, PLACEBOS = 1.2, 2.0, 24
 #: share of the first effect's gain that a further one must reach: below it stands what the
 #: model of the first one is not exact in
 LEAST_SHARE = 0.015
-#: least gain [nat] of a further name, and of one that does not act on any row kept back; least
-#: share of the first effect's gain of one that is both
-LEAST_FURTHER, LEAST_UNTRIED, UNTRIED_SHARE = 20.0, 25.0, 0.03
+#: least gain [nat] of a name that does not act on any row kept back, and least share of the first
+#: effect's gain if it is a further one
+LEAST_UNTRIED, UNTRIED_SHARE = 25.0, 0.03
 #: hypotheses of a short list, slow and fast, and their least gain in the screening
 _SLOW, _FAST, _LEAST_SCREENED = 8, 4, 2.0
 #: for how many of the best in the screening, and from which share of the best gain there on, all
@@ -156,11 +156,6 @@ class Selection:
         fit = PredictionFit(self.predictor, weighting)
         pairs = self.trials.free(point, keys)
         final, _ = self._exact(fit, point, pairs, gain=0.5, times=_REFITS)
-        if keys:
-            # the noise in which the names were chosen is of trials by all their rivals
-            weighting = colour.weighting(self.predictor, self._raw(final.point))
-            fit = PredictionFit(self.predictor, weighting)
-            final, _ = self._exact(fit, final.point, pairs, gain=0.5, times=_REFITS)
         final = replace(final, jacobian=fit.white(fit.derivatives(final.point, pairs)))
         if not keys:
             # without any effect the retuned model is the final one
@@ -249,7 +244,7 @@ class Selection:
         threshold = max(LEAST_GAIN, PLACEBO_FACTOR * chance + PLACEBO_MARGIN)
         if stages and stages[0].accepted is not None:
             first = stages[0].accepted.gain
-            threshold = max(threshold, LEAST_FURTHER, LEAST_SHARE * first)
+            threshold = max(threshold, LEAST_SHARE * first)
             untried = max(untried, UNTRIED_SHARE * first)
         # one that does not lower the error on rows kept back gives way to the next that does
         passing = [t for t in trials if t.problem is None and t.held_gain > 0.0
