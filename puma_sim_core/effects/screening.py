@@ -130,8 +130,9 @@ class Screening:
     contains : kinds that this one includes as a special case (a parsimonious name is preferred).
     generous : share of its evidence that a kind which it contains may lack: above 0 for a kind that
         fits whatever happened once.
-    unseen : values from which the kind is tried in the model at a joint that is far noisier than
-        the others, though no candidate asks for it: its own knocks may be that noise. None: never.
+    unseen : (parameter, value) pairs from which the kind is tried in the model at a joint that is
+        far noisier than the others, though no candidate asks for it: its own knocks may be that
+        noise. Without any it is not.
     plausible : parameter -> (low, high) size on a machine; above `high` "any plausible size" ends.
     fast : its columns are made of accelerations or rates of voltage, which are noise wherever the
         motion does not stand out of it.
@@ -142,6 +143,6 @@ class Screening:
     excitation: str
     contains: tuple[str, ...] = ()
     generous: float = 0.0
-    unseen: dict[str, float] | None = None
+    unseen: tuple[tuple[str, float], ...] = ()
     plausible: tuple[tuple[str, float, float], ...] = ()
     fast: bool = False

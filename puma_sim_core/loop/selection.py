@@ -348,8 +348,8 @@ class Selection:
         volts = self.predictor.volts
         for j in np.flatnonzero(volts > _NOISY * np.median(volts)):
             for name, kind in self.library.items():
-                values = kind.screening.unseen
-                if values is not None and j + 1 not in two and (name, j + 1) not in taken:
+                values = dict(kind.screening.unseen)
+                if values and j + 1 not in two and (name, j + 1) not in taken:
                     found.append(Scored(name, int(j) + 1, 0.0, 0.0, None, None, None, values,
                                         price=_UNSEEN_PRICE * len(values)))
         return found

@@ -267,5 +267,5 @@ SCREENINGS = {
         excitation="Changes of sign of the torque at the link: bang-bang on joint 1, upright or "
                    "hanging links on joints 2 and 3.",
         plausible=(("gap", 5e-5, 5e-3),), fast=True,
-        unseen={"gap": 2e-4, "stiffness": 5e5, "damping": 150.0}),
+        unseen=(("gap", 2e-4), ("stiffness", 5e5), ("damping", 150.0))),
 }
