@@ -54,9 +54,9 @@ def test_the_pendulum_lacks_friction_by_the_torque_that_its_gear_transmits():
                                 (found.errors["held_out"].position_rms, 0.5)):
         assert before_after.augmented[0] < share * before_after.retuned[0]
     errors = {path: free_run_error(found.model, path) for path in runs}
-    assert np.mean([errors[path] for path in kept]) < 0.075 < VISCOUS_ONLY
+    assert np.mean([errors[path] for path in kept]) < 0.085 < VISCOUS_ONLY
     # fitted to four runs, at all eight
-    assert np.mean(list(errors.values())) < 1.1 * LOADED
+    assert np.mean(list(errors.values())) < 1.2 * LOADED
 
 
 def test_emps_lacks_friction_that_differs_by_direction():
