@@ -14,8 +14,9 @@ from puma_sim_core.effects import KINDS, parse_effect
 from puma_sim_core.loop import trials
 from puma_sim_core.loop.evidence import Scored
 from puma_sim_core.loop.explain import _confirmed
+from puma_sim_core.loop.outcome import doubtful
 from puma_sim_core.loop.prediction import Fitted, Point
-from puma_sim_core.loop.selection import Selected, Stage
+from puma_sim_core.loop.selection import Selected, Selection, Stage
 from puma_sim_core.loop.trials import Trial, Trials, tied
 
 A, B = ("coulomb_friction", 1), ("impulse", 2)
@@ -73,6 +74,38 @@ def test_a_blow_that_fell_elsewhere_need_not_lower_it():
     assert untried.untried and not trial(B, 30.0).untried
     assert confirmed(errors(1.0, 0.9, 1.0, 1.01), trial(A, 90.0), untried) == ((A, B), ())
     assert confirmed(errors(1.0, 0.9, 1.0, 1.05), trial(A, 90.0), untried) == ((A,), (B,))
+
+
+@pytest.mark.parametrize("held, windows, stays", [
+    # a clear gain from row to row outweighs windows that are a little worse, the more the clearer
+    (5.0, 1.001, False), (12.0, 1.019, True), (12.0, 1.021, False), (100.0, 1.09, True),
+    (100.0, 1.11, False), (5000.0, 1.14, True), (5000.0, 1.16, False)])
+def test_a_few_windows_say_less_than_all_rows(held, windows, stays):
+    kept, _ = confirmed(errors(1.0, 0.9, 1.0, windows), trial(A, 90.0), trial(B, 30.0, held))
+    assert (B in kept) is stays
+
+
+@pytest.mark.parametrize("gain, left, wanted", [
+    (30.0, [1.0, 1.0], False),  # little beside what was named
+    (30.0, [1.0, 3.2], True),  # most of the residual is left, at the joint of the curve
+    (30.0, [3.2, 1.0], False),
+    (70.0, [1.0, 1.0], True),  # the curve explains nearly as much as the name
+    (15.0, [1.0, 9.0], False)])  # no remainder
+def test_what_is_left_puts_a_name_in_doubt(gain, left, wanted):
+    curve = SimpleNamespace(scored=SimpleNamespace(gain=gain, joint=2))
+    selected = SimpleNamespace(keys=(A,), gain_of=lambda key: 100.0)
+    assert doubtful(selected, [curve], 0.0, np.array(left)) is wanted
+    nothing = SimpleNamespace(keys=(), gain_of=lambda key: 0.0)
+    assert not doubtful(nothing, [curve], 0.0, np.array(left))
+
+
+@pytest.mark.parametrize("limit, wanted", [(97.5, "current_limit"), (96.0, "impulse")])
+def test_a_limit_that_was_met_once_goes_before_a_blow(limit, wanted):
+    chooser = SimpleNamespace(library=KINDS)
+    blow, other = trial(("impulse", 2), 100.0), trial(("current_limit", 2), limit)
+    elsewhere = trial(("current_limit", 1), 99.9)
+    found = Selection._parsimonious(chooser, blow, [blow, other, elsewhere])
+    assert found.key == (wanted, 2)
 
 
 def test_without_rows_held_out_nothing_is_retracted():

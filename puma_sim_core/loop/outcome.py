@@ -124,8 +124,8 @@ def doubtful(s, shapes, chance, left) -> bool:
     if remainder is None:
         return False
     explained = sum(s.gain_of(key) for key in s.keys)
-    return (remainder.scored.gain > _OVERWHELMING * explained
-            or left[remainder.scored.joint - 1] > _MOST_LEFT)
+    return bool(remainder.scored.gain > _OVERWHELMING * explained
+                or left[remainder.scored.joint - 1] > _MOST_LEFT)
 
 
 def _remainder(s, shapes, chance, left):
