@@ -123,13 +123,17 @@ def test_the_floor_is_what_a_true_model_reaches():
     mechanism = load_mechanism()
     volts, noise = 0.3, 5e-5
     log = record(mechanism, mechanism.plant(), volts, noise, seconds=40.0)
-    seen = validation(mechanism, log, volts, noise)
-    seen.problem.sampled.position_noise[:] = noise
-    for key in ("fit", "held_out"):
-        ratio = seen.position_rms(mechanism.plant(), key) / seen.position_floor(
-            key, np.full(3, volts))
-        # each joint by itself, with its mean inertia
-        assert (ratio > 0.6).all() and (ratio < 1.6).all()
+    # also where the observer was made for another noise
+    for guess, room in ((volts, 1.6), (3.0 * volts, 2.5)):
+        seen = validation(mechanism, log, guess, noise)
+        left = seen.predictor.errors(mechanism.plant())[seen.predictor.fit_rows.all(axis=1)]
+        found = seen.predictor.noise_behind(left.var(axis=0), np.full(3, noise))
+        # each joint by itself, with its mean inertia: joint 1's doubles with the arm stretched out
+        assert (found[0] < room * volts).all() and (found[0] > volts / room).all()
+        assert (found[1] <= noise).all() and (found[1] > 0.8 * noise).all()
+        for key in ("fit", "held_out"):
+            ratio = seen.position_rms(mechanism.plant(), key) / seen.position_floor(key, *found)
+            assert (ratio > 1.0 / room).all() and (ratio < room).all()
 
 
 def test_a_state_that_does_not_stay_finite_counts_as_far_off():

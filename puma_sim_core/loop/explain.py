@@ -111,7 +111,6 @@ class Analysis:
     selection: Selection
     selected: object
     validation: Validation
-    volts: np.ndarray
     seed: int
     progress: Callable
     source: dict = field(default_factory=dict)
@@ -133,16 +132,15 @@ class Analysis:
             problem, search = alike, Search(alike, library, progress)
             retuned = search.retune(retuned.theta)
         bank = search.bank(retuned.theta)
-        volts = _row_noise(search, retuned)
         predictor = Predictor(logs, mechanism, [_held(problem, n) for n in range(len(logs))],
-                              volts, sampled.position_noise)
+                              _row_noise(search, retuned), sampled.position_noise)
         selection = Selection(search, predictor, library, seed, progress)
         selected = selection.run(retuned.theta, bank)
         progress("validating", 0.86)
         validation = Validation(problem, predictor)
         selected = _confirmed(selection, selected, validation, mechanism)
         return cls(logs, mechanism, problem, search, predictor, selection, selected, validation,
-                   volts, seed, progress)
+                   seed, progress)
 
     def explanation(self, notes, begin, common) -> Explanation:
         """Steps 7 to 11."""
@@ -174,9 +172,8 @@ class Analysis:
         plants = {name: m.plant(point.theta, point.effects) for name, point in points.items()}
         residuals = {name: self._volts(plant) for name, plant in plants.items()}
         model = plants["augmented"]
-        less = self._less(final.point)
-        floor = less * self.predictor.floor_in_volts(p.sampled.cutoffs[1])
-        errors = self.validation.errors(plants, residuals, less * self.volts, floor)
+        floor = self._less(final.point) * self.predictor.floor_in_volts(p.sampled.cutoffs[1])
+        errors = self.validation.errors(plants, residuals, floor)
         linear = p.linear(final.point.theta, final.point.effects)
         bias = feedback.test(p, self.search.settle(linear, ()))
         spread = intervals.intervals(fit, final)

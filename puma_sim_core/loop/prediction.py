@@ -244,6 +244,14 @@ class Predictor:
                 out[r, j] = P[0, 0] + noise[j] ** 2
         return out
 
+    def noise_behind(self, variance, noise) -> tuple[np.ndarray, np.ndarray]:
+        """(J,) noise of a row's voltage [V] and of a position that give the innovations of a true
+        model a variance (J,); noise (J,): what a position's may at most be."""
+        one, none = np.ones(len(self.linear)), np.zeros(len(self.linear))
+        driven, seen = (self.open_loop_variance(*pair, 1)[0] for pair in ((one, none), (none, one)))
+        sensed = np.minimum(noise ** 2, variance / seen)
+        return np.sqrt(np.maximum(variance - seen * sensed, 0.0) / driven), np.sqrt(sensed)
+
     def less(self, volts: np.ndarray) -> Predictor:
         """The same logs with voltages (N, J) [V] taken from those that the plant gets."""
         other, start = copy(self), 0

@@ -81,10 +81,10 @@ class Validation:
         return (np.sqrt((errors[rows] ** 2).mean(axis=0)) if rows.any()
                 else np.full(errors.shape[1], np.nan))
 
-    def position_floor(self, key: str, volts: np.ndarray) -> np.ndarray:
-        """(J,) what noise alone makes of the windows, each joint by itself: that of the state at
-        the start, of the voltages volts (J,) [V a row], and of the sensor. NaN without windows."""
-        noise = self.problem.sampled.position_noise
+    def position_floor(self, key: str, volts: np.ndarray, noise: np.ndarray) -> np.ndarray:
+        """(J,) what noise alone makes of the windows, each joint by itself: that of the voltages
+        volts (J,) [V a row] and of the sensor's positions noise (J,), before the start, which they
+        make uncertain, and after it. NaN without windows."""
         number = np.concatenate(self.windows)
         lengths = np.unique(number[self.rows[key]], return_counts=True)[1]
         if not len(lengths):
@@ -93,21 +93,21 @@ class Validation:
         total = np.cumsum(spread, axis=0)[lengths - 1].sum(axis=0)
         return np.sqrt(total / lengths.sum())
 
-    def errors(self, plants: dict, residuals: dict, volts: np.ndarray,
-               floor: np.ndarray) -> dict[str, Errors]:
+    def errors(self, plants: dict, residuals: dict, floor: np.ndarray) -> dict[str, Errors]:
         """Both tables.
 
         plants, residuals : "nominal", "retuned", "augmented" -> plant, and the voltages (N, J) [V]
-        that it lacks at the observer's rows; volts (J,): noise of a row's voltage; floor (J,): that
-        of the residual [V].
+        that it lacks at the observer's rows; floor (J,): noise of the residual [V].
         """
         p, result = self.predictor, {}
+        left = np.where(p.fit_rows, p.errors(plants["augmented"]), np.nan)
+        noise = p.noise_behind(np.nanvar(left, axis=0), self.problem.sampled.position_noise)
         open_loop = {name: self.position_errors(plant) for name, plant in plants.items()}
         for key, rows in (("fit", p.fit_rows), ("held_out", p.held_rows)):
             position = {name: self._rms(errors, key) for name, errors in open_loop.items()}
             voltage = {name: rms(values, rows) for name, values in residuals.items()}
             result[key] = Errors(StageErrors(**voltage, floor=floor),
-                                 StageErrors(**position, floor=self.position_floor(key, volts)))
+                                 StageErrors(**position, floor=self.position_floor(key, *noise)))
         return result
 
 
