@@ -101,13 +101,15 @@ class Validation:
         """
         p, result = self.predictor, {}
         left = np.where(p.fit_rows, p.errors(plants["augmented"]), np.nan)
-        noise = p.noise_behind(np.nanvar(left, axis=0), self.problem.sampled.position_noise)
+        volts, noise = p.noise_behind(np.nanvar(left, axis=0), self.problem.sampled.position_noise)
+        # what a remainder leaves in the innovations is no noise, nor is all that came before a name
+        volts = np.minimum(volts, p.volts)
         open_loop = {name: self.position_errors(plant) for name, plant in plants.items()}
         for key, rows in (("fit", p.fit_rows), ("held_out", p.held_rows)):
             position = {name: self._rms(errors, key) for name, errors in open_loop.items()}
             voltage = {name: rms(values, rows) for name, values in residuals.items()}
             result[key] = Errors(StageErrors(**voltage, floor=floor),
-                                 StageErrors(**position, floor=self.position_floor(key, *noise)))
+                                 StageErrors(**position, floor=self.position_floor(key, volts, noise)))
         return result
 
 
