@@ -11,7 +11,8 @@ from scipy.signal import lfilter, oaconvolve
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.loop import colour, intervals, shape
 from puma_sim_core.loop.ingest import Log
-from puma_sim_core.loop.prediction import Fitted, Point, PredictionFit, Predictor
+from puma_sim_core.loop.prediction import Fitted, Point, PredictionFit
+from puma_sim_core.loop.predictor import Predictor
 from puma_sim_core.loop.weighting import Weighting
 from puma_sim_core.mechanisms import load_mechanism
 from puma_sim_core.simulator import Simulator

@@ -12,7 +12,8 @@ import pytest
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.loop import parallel
 from puma_sim_core.loop.ingest import Log
-from puma_sim_core.loop.prediction import Point, PredictionFit, Predictor
+from puma_sim_core.loop.prediction import Point, PredictionFit
+from puma_sim_core.loop.predictor import Predictor
 from puma_sim_core.mechanisms import load_mechanism
 from puma_sim_core.simulator import Simulator
 

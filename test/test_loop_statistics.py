@@ -11,7 +11,8 @@ from scipy.stats import multivariate_normal
 from puma_sim_core.loop import filters, noise
 from puma_sim_core.loop.evidence import Base, log_gain
 from puma_sim_core.loop.ingest import Log
-from puma_sim_core.loop.prediction import Point, PredictionFit, Predictor
+from puma_sim_core.loop.prediction import Point, PredictionFit
+from puma_sim_core.loop.predictor import Predictor
 from puma_sim_core.loop.sampling import sample
 from puma_sim_core.mechanisms import load_mechanism
 from puma_sim_core.simulator import Simulator

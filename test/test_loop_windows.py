@@ -10,7 +10,7 @@ import pytest
 from mechanism_support import NAMES
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.loop.ingest import Log
-from puma_sim_core.loop.prediction import Predictor, stable_step
+from puma_sim_core.loop.predictor import Predictor, stable_step
 from puma_sim_core.loop.problem import Problem
 from puma_sim_core.loop.sampling import sample
 from puma_sim_core.loop.validate import FAR_OFF, Validation

@@ -17,7 +17,7 @@ import numpy as np
 from scipy import fft
 from scipy.optimize import nnls
 
-from .prediction import Predictor
+from .predictor import Predictor
 from .weighting import Weighting
 
 #: correlation times of disturbances [s]

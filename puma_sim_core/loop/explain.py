@@ -19,7 +19,8 @@ from .causal import CausalScreen
 from .detect import detectable
 from .gate import check
 from .ingest import Log, read_log
-from .prediction import Point, PredictionFit, Predictor
+from .prediction import Point, PredictionFit
+from .predictor import Predictor
 from .problem import Problem
 from .result import DATA_FAULT, Explanation
 from .sampling import sample

@@ -19,7 +19,8 @@ from . import colour
 from .causal import CausalScreen
 from .evidence import Scored
 from .parallel import each
-from .prediction import Fitted, Point, PredictionFit, Predictor
+from .prediction import Fitted, Point, PredictionFit
+from .predictor import Predictor
 from .search import Search
 from .trials import TWO_MASSES, Trial, Trials
 from .weighting import Weighting

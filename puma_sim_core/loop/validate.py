@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import NonFiniteStateError
-from .prediction import SETTLING
+from .predictor import SETTLING
 from .result import Errors, StageErrors
 
 #: length of an open-loop window [s], and the shortest one that counts

@@ -18,7 +18,8 @@ from puma_sim_core.errors import PumaSimError
 from puma_sim_core.loop import colour
 from puma_sim_core.loop.explain import _held, _row_noise
 from puma_sim_core.loop.ingest import read_log
-from puma_sim_core.loop.prediction import Point, PredictionFit, Predictor
+from puma_sim_core.loop.prediction import Point, PredictionFit
+from puma_sim_core.loop.predictor import Predictor
 from puma_sim_core.loop.problem import Problem
 from puma_sim_core.loop.sampling import sample
 from puma_sim_core.loop.search import Search
