@@ -18,6 +18,7 @@ from puma_sim_core.loop.outcome import doubtful
 from puma_sim_core.loop.prediction import Fitted, Point
 from puma_sim_core.loop.selection import Selected, Selection, Stage
 from puma_sim_core.loop.trials import Trial, Trials, tied
+from puma_sim_core.loop.wrong_zero import wrong_zeros
 
 A, B = ("coulomb_friction", 1), ("impulse", 2)
 
@@ -40,15 +41,23 @@ class Chooser:
                         (*selected.retracted, key))
 
 
-def confirmed(errors, first, second):
-    """Names that stay, and those retracted, by errors {names: position error}."""
+def confirmed(errors, first, second, folds=None):
+    """Names that stay, and those retracted, by errors {names: position error} in the blocks that
+    are kept back; folds: the sets of names that lower the error over all folds, None without."""
     stages = [Stage([t], 8.0, None, [], None, t) for t in (first, second)]
     keys = (first.key, second.key)
     selected = Selected(fitted(), fitted(*keys), keys, stages, None)
     mechanism = SimpleNamespace(plant=lambda theta, effects: tuple(effects))
     validation = SimpleNamespace(
+        problem=SimpleNamespace(mechanism=mechanism),
         position_rms=lambda plant, key: np.full(2, errors[frozenset(plant)]))
-    found = _confirmed(Chooser(), selected, validation, mechanism)
+
+    def lowers(chosen, without, weighting):
+        assert without is selected.retuned
+        return frozenset(chosen.point.effects) in folds
+
+    made = None if folds is None else lambda: SimpleNamespace(lowers=lowers)
+    found = _confirmed(Chooser(), selected, validation, made)
     return found.keys, found.retracted
 
 
@@ -69,20 +78,15 @@ def test_without_a_lower_error_there_is_no_name():
     assert confirmed(errors(1.0, 1.0, 1.1, 1.2), trial(A, 90.0), trial(B, 30.0)) == ((), (B, A))
 
 
-def test_a_blow_that_fell_elsewhere_need_not_lower_it():
-    untried = trial(B, 30.0, held=trials._UNTOUCHED)
-    assert untried.untried and not trial(B, 30.0).untried
-    assert confirmed(errors(1.0, 0.9, 1.0, 1.01), trial(A, 90.0), untried) == ((A, B), ())
-    assert confirmed(errors(1.0, 0.9, 1.0, 1.05), trial(A, 90.0), untried) == ((A,), (B,))
+@pytest.mark.parametrize("folds, stays", [([{A, B}], (A, B)), ([{A}], (A,)), ([], ())])
+def test_where_a_few_windows_say_no_all_folds_are_asked(folds, stays):
+    folds = [frozenset(names) for names in folds]
+    found = confirmed(errors(1.0, 1.01, 1.01, 1.01), trial(A, 90.0), trial(B, 30.0), folds)
+    assert found[0] == stays
 
 
-@pytest.mark.parametrize("held, windows, stays", [
-    # a clear gain from row to row outweighs windows that are a little worse, the more the clearer
-    (5.0, 1.001, False), (12.0, 1.019, True), (12.0, 1.021, False), (100.0, 1.09, True),
-    (100.0, 1.11, False), (5000.0, 1.14, True), (5000.0, 1.16, False)])
-def test_a_few_windows_say_less_than_all_rows(held, windows, stays):
-    kept, _ = confirmed(errors(1.0, 0.9, 1.0, windows), trial(A, 90.0), trial(B, 30.0, held))
-    assert (B in kept) is stays
+def test_folds_are_not_asked_where_the_blocks_kept_back_say_yes():
+    assert confirmed(errors(1.0, 0.7, 0.8, 0.5), trial(A, 90.0), trial(B, 30.0), [])[0] == (A, B)
 
 
 @pytest.mark.parametrize("gain, left, wanted", [
@@ -138,6 +142,25 @@ def test_what_more_of_makes_less_of_an_effect_is_not_too_much():
     assert "stiffness 20, less than any machine has" in chooser.implausible(soft)
     heavy = parse_effect("coulomb_friction:joint=1,torque=400")
     assert "torque 400, more than any machine has" in chooser.implausible(heavy)
+
+
+def offset(gain, angle, problem):
+    effect = parse_effect(f"encoder_offset:joint=2,angle={angle}")
+    model = Fitted(Point(np.zeros(1), (effect,)), np.zeros((4, 2)), 0.0, ())
+    return Trial("encoder_offset", 2, gain, 5.0, model, 3.0, problem)
+
+
+@pytest.mark.parametrize("gain, rival, problem, found", [
+    (120.0, 90.0, "more than any machine has", True),
+    (105.0, 90.0, "more than any machine has", False),  # not clearly better than an effect
+    (120.0, 90.0, None, False),  # one that a sensor may have is an effect like others
+    (60.0, 0.0, "more than any machine has", True),
+    (25.0, 0.0, "more than any machine has", False)])  # not above the threshold by enough
+def test_a_zero_that_no_sensor_has_is_a_fault_of_the_data(gain, rival, problem, found):
+    stage = Stage([offset(gain, 0.9, problem), trial(A, rival)], 15.0, None, [], None)
+    faults = wrong_zeros([stage])
+    assert [(f.channel, f.row) for f in faults] == ([("position2", None)] if found else [])
+    assert all("offset by about 0.9 rad" in f.what for f in faults)
 
 
 def test_a_spring_is_contained_in_a_stop():

@@ -7,41 +7,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from loop_logs import SECONDS, STEP, record, validation
 from mechanism_support import NAMES
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.loop.ingest import Log
-from puma_sim_core.loop.predictor import Predictor, stable_step
+from puma_sim_core.loop.predictor import stable_step
 from puma_sim_core.loop.problem import Problem
 from puma_sim_core.loop.sampling import sample
-from puma_sim_core.loop.validate import FAR_OFF, Validation
+from puma_sim_core.loop.validate import FAR_OFF
 from puma_sim_core.mechanisms import load_mechanism
 from puma_sim_core.simulator import Simulator
-
-STEP, SECONDS = 2e-3, 10.0
-START = [0.1, -0.9, 1.1]
-
-
-def record(mechanism, plant, volts=0.0, noise=0.0, enable=None, seconds=SECONDS):
-    """A log of a plant with white noise of the voltage [V] and of the positions."""
-    J, rng = mechanism.joints, np.random.default_rng(3)
-    time = np.arange(0.0, seconds, STEP)
-    voltage = sum(a * np.sin(w * time[:, None] + w * np.arange(J))
-                  for a, w in ((3.0, 2.1), (2.0, 5.3)))
-    simulator = Simulator(plant, max_step=1e-3)
-    simulator.reset(START[:J])
-    run = simulator.run(time, voltage + volts * rng.standard_normal(voltage.shape),
-                        enable=enable)
-    on = None if enable is None else np.repeat(enable[:, None], J, axis=1)
-    return Log("own", time, voltage, run.position + noise * rng.standard_normal(voltage.shape),
-               enable=on)
-
-
-def validation(mechanism, log, volts=0.02, noise=1e-6):
-    problem = Problem(sample([log]), mechanism)
-    held = np.interp(log.time, problem.sampled.time[problem.kept], problem.held.astype(float))
-    return Validation(problem, Predictor(
-        [log], mechanism, [lambda t: np.interp(t, log.time, held) > 0.5],
-        np.full(mechanism.joints, volts), np.full(mechanism.joints, noise)))
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -120,7 +120,7 @@ class CausalScreen:
         for column, c in zip(candidate.columns, coefficients):
             for j, values in column.items():
                 out[:, j] += c * values
-        return out
+        return out * self.signals.enable
 
     def _white(self, candidate: Candidate) -> dict[int, np.ndarray]:
         """Joint -> (N, p) white innovations that unit coefficients would make."""

@@ -16,6 +16,7 @@ from ..errors import NonFiniteStateError, RecordingError
 from ..mechanisms import load_mechanism
 from . import feedback, intervals, outcome, shape
 from .causal import CausalScreen
+from .cross_validation import Folds
 from .detect import detectable
 from .gate import check
 from .ingest import Log, read_log
@@ -25,19 +26,17 @@ from .problem import Problem
 from .result import DATA_FAULT, Explanation
 from .sampling import sample
 from .search import Search
-from .selection import LEAST_GAIN, Selection
+from .selection import LEAST_GAIN, Selected, Selection
 from .validate import Validation, rms
+from .wrong_zero import wrong_zeros
 
 #: least and greatest noise of a row's voltage that the observer reckons with, in volts of a
 #: middling friction torque
 _LEAST_NOISE, _GREATEST_NOISE = 0.02, 0.5
 #: gain of a curve [nat] above which it may have stretched the parameters
 _MUCH = 150.0
-#: what the position error held out may grow by with an effect that does not act there, and with
-#: one that lowers the errors from row to row there by more than so many nats, the least of it,
-#: the most, and for a nat: a few windows, most of whose error comes from the parameters, say less
-#: than all rows do
-_UNTRIED_ROOM, _CLEAR, _CLEAR_ROOM, _MOST_ROOM, _A_NAT = 1.03, 10.0, 1.02, 1.15, 1e-3
+#: share of the best curve's gain from which on another joint's may be the one that is missing
+_RIVAL = 0.2
 #: what a free curve may leave of a joint's squared innovations, in terms of what the names leave,
 #: to put them in doubt: measured ones are never explained to the end by either
 _CLEARLY_LESS = 0.95
@@ -85,10 +84,11 @@ def explain(logs: str | Log | Sequence, *, held_out: Sequence = (), plant: str =
         found, said = check(log, mechanism)
         faults += found
         notes += [*log.notes, *said]
+    analysis = None if faults else Analysis.of(fitted, kept, mechanism, seed, progress)
+    faults = faults or wrong_zeros(analysis.selected.stages)
     if faults:
         return Explanation(DATA_FAULT, outcome.fault_sentence(faults), faults=tuple(faults),
                            notes=tuple(notes), seconds=clock.perf_counter() - begin, **common)
-    analysis = Analysis.of(fitted, kept, mechanism, seed, progress)
     analysis.source = {"plant": str(plant), "parameters": parameters,
                        "model": None if model is None else str(model)}
     return analysis.explanation(tuple(notes), begin, common)
@@ -133,13 +133,19 @@ class Analysis:
             problem, search = alike, Search(alike, library, progress)
             retuned = search.retune(retuned.theta)
         bank = search.bank(retuned.theta)
-        predictor = Predictor(logs, mechanism, [_held(problem, n) for n in range(len(logs))],
-                              _row_noise(search, retuned), sampled.position_noise)
+        noise = _row_noise(search, retuned)
+
+        def with_blocks(of: Problem) -> Predictor:
+            return Predictor(logs, mechanism, [_held(of, n) for n in range(len(logs))], noise,
+                             sampled.position_noise)
+
+        predictor = with_blocks(problem)
         selection = Selection(search, predictor, library, seed, progress)
         selected = selection.run(retuned.theta, bank)
         progress("validating", 0.86)
         validation = Validation(problem, predictor)
-        selected = _confirmed(selection, selected, validation, mechanism)
+        folds = None if kept else lambda: Folds(problem, with_blocks)
+        selected = _confirmed(selection, selected, validation, folds)
         return cls(logs, mechanism, problem, search, predictor, selection, selected, validation,
                    seed, progress)
 
@@ -182,8 +188,8 @@ class Analysis:
                                notes, begin, common)
 
     def _less(self, point) -> np.ndarray:
-        """(J,) noise of the innovations of a model, at most 1, over that which the observer was made
-        for: before it was known what is noise and what an effect."""
+        """(J,) noise of the innovations of a model, at most 1, over that which the observer was
+        made for: before it was known what is noise and what an effect."""
         raw = np.where(self.predictor.fit_rows, self._raw(point), np.nan)
         return np.minimum(1.0, np.nanstd(raw, axis=0) / np.array(self.predictor.spread))
 
@@ -195,8 +201,8 @@ class Analysis:
         return rms(volts, self.predictor.fit_rows) / floor
 
     def _better(self, causal, curves) -> bool:
-        """Whether the best of the curves about a model without names leaves clearly less of its joint's
-        innovations than the names do, in the noise that the curve leaves."""
+        """Whether the best of the curves about a model without names leaves clearly less of its
+        joint's innovations than the names do, in the noise that the curve leaves."""
         if not curves:
             return False
         best = curves[0].scored
@@ -212,13 +218,14 @@ class Analysis:
         # the first noise is the least that the innovations allow: one fitted to all that is left
         # would take what is missing for noise
         plain = predictor.white_weighting(self._raw(final.point))
-        causal = self._causal(final.point, final.names, plain)
+        point, volts = final.point, None
+        causal = self._causal(point, final.names, plain)
         found = shape.curves(causal, unit)
         if found and found[0].scored.gain > _MUCH:
-            point = self._relaxed(causal, found, final)
-            causal = self._causal(point, final.names, plain)
+            point, volts = self._relaxed(causal, found, final)
+            causal = self._causal(point, final.names, plain, volts)
             found = shape.curves(causal, unit)
-        causal = self._causal(causal.point, final.names, shape.noise(causal, found))
+        causal = self._causal(point, final.names, shape.noise(causal, found), volts)
         found = shape.curves(causal, unit)
         rng = np.random.default_rng(self.seed + 1)
         shifts = np.sort(rng.uniform(0.06, 0.94, _SHIFTS))
@@ -227,24 +234,40 @@ class Analysis:
     def _raw(self, point) -> np.ndarray:
         return self.predictor.errors(self.mechanism.plant(point.theta, point.effects))
 
-    def _causal(self, point, names, weighting) -> CausalScreen:
-        """The screen about a point whose effects have these free parameters."""
+    def _causal(self, point, names, weighting, volts=None) -> CausalScreen:
+        """The screen about a point whose effects have these free parameters. volts (N, J): what a
+        curve takes of the voltage; the plant gets the rest, and the innovations show the curve at
+        its own joint alone."""
         fit = PredictionFit(self.predictor, weighting)
-        return CausalScreen(fit, point, weighting(self._raw(point)),
+        if volts is None:
+            raw = self._raw(point)
+        else:
+            plant = self.mechanism.plant(point.theta, point.effects)
+            raw = self.predictor.less(volts).errors(plant) + self.predictor.shown(volts)
+        return CausalScreen(fit, point, weighting(raw),
                             fit.white(fit.derivatives(point, names)), self.problem)
 
-    def _relaxed(self, causal, found, final) -> Point:
-        """The parameters as they are when the best curve takes its part of the voltage: what is
-        missing may have stretched them so far that no curve fits about them."""
-        best = next((curve.scored for curve in found if curve.axis is not None), None)
-        if best is None:
-            return final.point
-        volts = causal.volts(best.entry.candidate, best.coefficients)
-        fit = PredictionFit(self.predictor.less(volts), causal.fit.weighting)
+    def _relaxed(self, causal, found, final) -> tuple[Point, np.ndarray | None]:
+        """The parameters as they are when the curve that explains the log best takes its part
+        (N, J) of the voltage, and that part. What is missing may have stretched them so far that no
+        curve fits about them, and it shows at the joints that the inertia couples to its own: so
+        the best curve of each joint is tried."""
+        best: dict = {}
+        for curve in found:
+            best.setdefault(curve.scored.joint, curve)
         starts = (final.point, Point(self.mechanism.start, final.point.effects))
-        tried = [fit.run(start, final.names, rounds=4) for start in starts]
-        return min((t for t in tried if t is not None), key=lambda t: t.objective,
-                   default=final).point
+        tried = []
+        for curve in best.values():
+            if curve.scored.gain < _RIVAL * found[0].scored.gain:
+                continue
+            volts = curve.volts(causal)
+            fit = PredictionFit(self.predictor.less(volts), causal.fit.weighting)
+            for start in starts:
+                fitted = fit.run(start, final.names, rounds=4)
+                if fitted is not None:
+                    tried.append((fitted.objective + curve.scored.price, len(tried), fitted.point,
+                                  volts))
+        return min(tried)[2:] if tried else (final.point, None)
 
     def _volts(self, plant) -> np.ndarray:
         """(N, J) voltages [V] that a plant lacks along the logs, at the rows of the observer."""
@@ -255,34 +278,25 @@ class Analysis:
         return self.predictor.in_volts(errors, self.problem.sampled.cutoffs[1])
 
 
-def _confirmed(selection: Selection, selected, validation: Validation, mechanism):
+def _confirmed(selection: Selection, selected, validation: Validation, folds) -> Selected:
     """The selection without the effects, weakest first, that do not lower the error held out (step
-    7): by open-loop windows, or clearly from row to row with windows that are little worse. A blow
-    that fell elsewhere need not lower either."""
+    7): of the windows in the blocks kept back or, where those few say so, of the windows of all
+    `folds` (a function that makes them; None: of logs that are kept back as a whole)."""
+    mechanism = validation.problem.mechanism
+
     def held_out(fitted) -> float:
         plant = mechanism.plant(fitted.point.theta, fitted.point.effects)
         return float(np.sqrt((validation.position_rms(plant, "held_out") ** 2).mean()))
 
-    limit = held_out(selected.retuned)
+    limit, made = held_out(selected.retuned), None
     # without rows held out there is nothing to be seen, and NaN compares with nothing
-    while selected.keys:
-        weakest = min(selected.keys, key=selected.gain_of)
-        if not held_out(selected.final) >= _room(selected.entry(weakest)) * limit:
-            break
-        selected = selection.without(selected, weakest)
+    while selected.keys and held_out(selected.final) >= limit:
+        if folds is not None:
+            made = made or folds()
+            if made.lowers(selected.final, selected.retuned, selected.weighting):
+                break
+        selected = selection.without(selected, min(selected.keys, key=selected.gain_of))
     return selected
-
-
-def _room(entry) -> float:
-    """Share of the retuned model's position error held out that a model with an effect, by the trial
-    in which it entered, must stay below."""
-    if entry is None:
-        return 1.0
-    if entry.untried:
-        return _UNTRIED_ROOM
-    if entry.held_gain > _CLEAR:
-        return min(max(_CLEAR_ROOM, 1.0 + _A_NAT * entry.held_gain), _MOST_ROOM)
-    return 1.0
 
 
 def _held(problem: Problem, number: int):

@@ -5,8 +5,8 @@
 Under position control the voltage answers to the noise of the measured position and to what pushes
 the joint. Regressors that are made of the voltage's or the acceleration's fast part are then
 correlated with the residual, and their coefficients are biased. The test is that of Durbin, Wu and
-Hausman (Hausman 1978, Econometrica 46:1251): what the instruments do not predict of the regressor is
-added as a regressor of its own; if that one matters, the regressor is not exogenous.
+Hausman (Hausman 1978, Econometrica 46:1251): what the instruments do not predict of the regressor
+is added as a regressor of its own; if that one matters, the regressor is not exogenous.
 
 Instruments are the setpoints with their derivatives, and, in a log without setpoints, voltages and
 positions older than the noise remembers.

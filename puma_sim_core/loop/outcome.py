@@ -139,8 +139,7 @@ def _remainder(s, shapes, chance, left):
 
 
 def _axis_name(curve) -> str:
-    way = curve.axis.way if curve.axis is not None else ""
-    return f"{curve.scored.name} (joint {curve.scored.joint}) {way}".rstrip()
+    return f"{curve.scored.name} (joint {curve.scored.joint}) {curve.way}".rstrip()
 
 
 def _sentence(verdict, names, curve, errors, mechanism) -> str:
@@ -190,7 +189,8 @@ def _refused(s, stage, t) -> str:
     if t.problem is not None:
         return t.problem
     if t.key in s.retracted:
-        return "retracted: the error held out is not lower with it, or most of what is missing stays"
+        return ("retracted: the error held out is not lower with it, or most of what is missing "
+                "stays")
     if best is not None and best.key not in s.retracted and tied(best, t):
         return "tied"
     if t.gain <= stage.threshold:

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import fft
 from scipy.linalg import expm, solve_discrete_are, solve_discrete_lyapunov
+from scipy.signal import fftconvolve
 
 from ..plant import Plant
 from ..restart import driven_current, local_motion, true_start
@@ -248,6 +249,16 @@ class Predictor:
             other.stretches.append(replace(s, voltage=voltage))
             start += len(voltage) - 1
         return other
+
+    def shown(self, volts: np.ndarray) -> np.ndarray:
+        """(N, J) innovations that voltages (N, J) [V] which the plant does not know of would make,
+        each at its own joint alone."""
+        out, start = np.empty_like(volts), 0
+        for n in self.lengths:
+            for j, taps in enumerate(self.responses):
+                out[start:start + n, j] = fftconvolve(volts[start:start + n, j], taps)[:n]
+            start += n
+        return out
 
     @property
     def lengths(self) -> tuple[int, ...]:

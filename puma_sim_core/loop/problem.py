@@ -79,8 +79,8 @@ class Problem:
         return np.flatnonzero(self.usable[:, joint] & self.held & ~self.guard)
 
     def like(self, residual: np.ndarray) -> Problem:
-        """This problem, or one whose blocks lie where the rows kept back are more like the others by
-        the residual (m, J) [V] of the retuned model.
+        """This problem, or one whose blocks lie where the rows kept back are more like the others
+        by the residual (m, J) [V] of the retuned model.
 
         What happened once, such as a blow, cannot be found where it happened in rows kept back.
         """
@@ -177,7 +177,8 @@ class Problem:
             velocity_noise=s.velocity_noise, quantum=s.quantum, ranges=tuple(m.ranges),
             gravity_tilt=m.gravity_tilt(theta, q),
             payload_torque=lambda z: m.payload_torque(theta, z, q, qd, qdd),
-            inertia=m.inertia_matrix(theta, q), position_gradient=m.position_gradient(theta, q, qd, qdd))
+            inertia=m.inertia_matrix(theta, q),
+            position_gradient=m.position_gradient(theta, q, qd, qdd))
 
     def known(self, theta: np.ndarray, effects=()) -> np.ndarray:
         """(n, J) part of V - Vhat [V] that known effects make: those of the mechanism and more."""

@@ -31,6 +31,7 @@ _PLAYS = np.array([0.004, 0.01, 0.025, 0.06, 0.15])
 #: ways of an axis to act
 _SIGNED, _HYSTERESIS = "with the sign of the velocity", "with hysteresis"
 _FINE = "in fine steps"
+_WITH_TORQUE = "in proportion to the torque"
 #: past over which an acceleration is averaged [s]
 _PAST = 0.025
 #: prior of a knot's height, in volts of a middling friction torque
@@ -144,21 +145,33 @@ def hats(values: np.ndarray, knots: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Curve:
-    """A free curve over an axis, or a line (axis None), as scored, with its candidates' columns."""
+    """A free curve over an axis, or a line (axis None), as scored, with its candidates' columns.
+    way : how the axis acts, as `Axis.way`."""
 
     scored: Scored
     axis: Axis | None
     pairs: list | _Lines
+    way: str = ""
+
+    def volts(self, causal) -> np.ndarray:
+        """(N, J) voltage [V] of the curve at the rows before the innovations."""
+        candidate, heights = self.scored.entry.candidate, self.scored.coefficients
+        if candidate.columns:
+            return causal.volts(candidate, heights)
+        out, j = np.zeros_like(causal.signals.voltage), self.scored.joint - 1
+        phase = 2.0 * np.pi * candidate.grid["frequency"] * causal.signals.time
+        out[:, j] = heights[0] * np.sin(phase) + heights[1] * np.cos(phase)
+        return out * causal.signals.enable
 
 
 def curves(causal, position_unit: str = "rad") -> list[Curve]:
     """All curves of all joints, best first."""
     signals, found = causal.signals, []
 
-    def add(name, joint, pairs, axis):
+    def add(name, joint, pairs, axis, way=""):
         scored = causal.score_columns(name, joint, pairs)
         if scored is not None:
-            found.append(Curve(scored, axis, pairs))
+            found.append(Curve(scored, axis, pairs, way))
 
     for j in range(signals.joints):
         height = _HEIGHT * float(signals.volts_per_torque[j] * signals.torque_scale[j])
@@ -168,10 +181,15 @@ def curves(causal, position_unit: str = "rad") -> list[Curve]:
             p = columns.shape[1]
             candidate = Candidate(tuple({j: column} for column in columns.T), VOLTAGE_COLUMN,
                                   np.zeros(p), np.full(p, height), _free, {"height": height})
-            add(axis.name, j + 1, [(candidate, causal.columns(candidate))], axis)
+            add(axis.name, j + 1, [(candidate, causal.columns(candidate))], axis, axis.way)
         add("line", j + 1, _time_lines(causal, j, height), None)
         if signals.gear[j] > 1.0:
-            add("motor_angle", j + 1, _angle_lines(causal, j, height), None)
+            torque = _past_mean(signals, signals.torque[:, j])
+            size = float(np.sqrt(np.mean(torque ** 2))) or 1.0
+            add("motor_angle", j + 1, _angle_lines(causal, j, height, 1.0), None)
+            # of currents that do not commutate evenly
+            add("motor_angle", j + 1, _angle_lines(causal, j, height, torque / size), None,
+                _WITH_TORQUE)
     return sorted(found, key=lambda curve: -curve.scored.gain)
 
 
@@ -243,7 +261,8 @@ class _Lines:
                                                                        np.cos(phase)])}
 
 
-def _angle_lines(causal, j, height) -> list:
+def _angle_lines(causal, j, height, factor) -> list:
+    """(candidate, its columns) of each line in motor angle, times a factor (n,) or 1.0."""
     signals = causal.signals
     speed = np.abs(signals.velocity[:, j]) * signals.gear[j] / (2.0 * np.pi)
     pairs = []
@@ -251,7 +270,8 @@ def _angle_lines(causal, j, height) -> list:
         if (order * speed < causal.problem.sampled.cutoffs[1]).mean() < 0.1:
             continue
         phase = order * signals.gear[j] * signals.position[:, j]
-        candidate = Candidate(({j: np.sin(phase)}, {j: np.cos(phase)}), VOLTAGE_COLUMN,
+        columns = {j: factor * np.sin(phase)}, {j: factor * np.cos(phase)}
+        candidate = Candidate(columns, VOLTAGE_COLUMN,
                               np.zeros(2), np.full(2, height), _free, {"order": float(order)})
         pairs.append((candidate, causal.columns(candidate)))
     return pairs
@@ -282,4 +302,4 @@ def describe(best: Curve, ranking) -> Shape:
         return Shape("time", "s", scored.joint, phase / (2.0 * np.pi * grid["frequency"]), curve,
                      curve - band, curve + band, grid["frequency"], ranking)
     return Shape("motor_angle", "rad", scored.joint, phase / grid["order"], curve, curve - band,
-                 curve + band, None, ranking)
+                 curve + band, None, ranking, best.way)

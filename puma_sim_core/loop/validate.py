@@ -108,8 +108,9 @@ class Validation:
         for key, rows in (("fit", p.fit_rows), ("held_out", p.held_rows)):
             position = {name: self._rms(errors, key) for name, errors in open_loop.items()}
             voltage = {name: rms(values, rows) for name, values in residuals.items()}
-            result[key] = Errors(StageErrors(**voltage, floor=floor),
-                                 StageErrors(**position, floor=self.position_floor(key, volts, noise)))
+            result[key] = Errors(
+                StageErrors(**voltage, floor=floor),
+                StageErrors(**position, floor=self.position_floor(key, volts, noise)))
         return result
 
 

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""Logs of known plants of any mechanism, and the pieces of the loop that are made of them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from puma_sim_core.loop.ingest import Log
+from puma_sim_core.loop.predictor import Predictor
+from puma_sim_core.loop.problem import Problem
+from puma_sim_core.loop.sampling import sample
+from puma_sim_core.loop.validate import Validation
+from puma_sim_core.simulator import Simulator
+
+STEP, SECONDS = 2e-3, 10.0
+START = [0.1, -0.9, 1.1]
+
+
+def record(mechanism, plant, volts=0.0, noise=0.0, enable=None, seconds=SECONDS, unlogged=None):
+    """A log of a plant with white noise of the voltage [V] and of the positions; unlogged: function
+    of (time, state of the simulator) -> (J,) [V] more that the plant gets."""
+    J, rng = mechanism.joints, np.random.default_rng(3)
+    time = np.arange(0.0, seconds, STEP)
+    voltage = sum(a * np.sin(w * time[:, None] + w * np.arange(J))
+                  for a, w in ((3.0, 2.1), (2.0, 5.3)))
+    simulator = Simulator(plant, max_step=1e-3)
+    simulator.reset(START[:J])
+    given = voltage + volts * rng.standard_normal(voltage.shape)
+    if unlogged is None:
+        position = simulator.run(time, given, enable=enable).position
+    else:
+        position = np.empty_like(voltage)
+        for k, t in enumerate(time):
+            position[k] = simulator.state[:3]
+            simulator.step(given[k] + unlogged(t, simulator), STEP)
+    on = None if enable is None else np.repeat(enable[:, None], J, axis=1)
+    return Log("own", time, voltage, position + noise * rng.standard_normal(voltage.shape),
+               enable=on)
+
+
+def pieces(mechanism, log, volts=0.02, noise=1e-6):
+    """(problem, function of a problem -> its predictor) of a log with such noise."""
+    problem = Problem(sample([log]), mechanism)
+
+    def with_blocks(of):
+        held = np.interp(log.time, of.sampled.time[of.kept], of.held.astype(float))
+        return Predictor([log], mechanism, [lambda t: np.interp(t, log.time, held) > 0.5],
+                         np.full(mechanism.joints, volts), np.full(mechanism.joints, noise))
+
+    return problem, with_blocks
+
+
+def validation(mechanism, log, volts=0.02, noise=1e-6):
+    """The windows of a log."""
+    problem, with_blocks = pieces(mechanism, log, volts, noise)
+    return Validation(problem, with_blocks(problem))
