@@ -90,6 +90,7 @@ def python(program, **environment):
                           env={k: v for k, v in changed.items() if v is not None})
 
 
+@pytest.mark.long
 @needs_numba
 def test_compiled_and_interpreted_kernels_give_the_same_bits():
     results = {}
@@ -209,6 +210,7 @@ def test_without_a_folder_to_write_there_is_no_cache(tmp_path, monkeypatch):
     assert backend._cache_directory() is None
 
 
+@pytest.mark.long
 @needs_numba
 def test_a_kernel_without_a_cache_compiles_and_runs(tmp_path):
     # a path below a file cannot be made, by no user whatever
@@ -225,6 +227,7 @@ def test_a_kernel_without_a_cache_compiles_and_runs(tmp_path):
     assert done.stdout.strip() == "None (1.0, 2.0, 3.0)"
 
 
+@pytest.mark.long
 @needs_numba
 def test_the_folder_of_other_users_of_numba_is_left_as_it_was(tmp_path):
     done = python("import numba; before = numba.config.CACHE_DIR; import puma_sim_core.runs; "

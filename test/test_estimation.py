@@ -76,6 +76,7 @@ def test_spread_of_open_loop_angles_is_what_the_weights_assume(campaign):
     assert 0.8 < ratio.min() and ratio.max() < 1.2, ratio
 
 
+@pytest.mark.long
 @compiled_only
 def test_intervals_hold_the_truth_as_often_as_they_say():
     covered, worst = [], 0.0

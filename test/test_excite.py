@@ -303,6 +303,7 @@ def gains(machine, log, names):
     return {s.name: s.gain for s in screen(fit.base, fit.base.whiten(bank))}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("truth", ("encoder_offset:joint=1,angle=0.03",
                                    "voltage_offset:joint=1,voltage=0.15"))
 def test_a_tie_is_broken_by_the_excitation_for_it(truth):
@@ -340,6 +341,7 @@ def told(explanation):
     return effect.name, {tie.name for tie in effect.tied_with}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("truth", ("encoder_offset:joint=1,angle=0.03",
                                    "voltage_offset:joint=1,voltage=0.15"))
 def test_the_log_of_what_is_written_breaks_the_tie_that_explain_reported(truth, tmp_path):

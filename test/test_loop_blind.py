@@ -25,8 +25,8 @@ NOTHING = ("record_001000", "record_001002")
 SINGLE = ("record_001004", "record_001014", "record_001015")
 PAIR, OUTSIDE = "record_001016", "record_001018"
 FAULTS = ("record_001020", "record_001021", "record_001022", "record_001023")
-#: [s] that a record may take on a machine that does much else, compilation included
-SLOW = pytest.mark.timeout(900)
+#: seconds that a record may take on a machine that does much else, compilation included
+pytestmark = [pytest.mark.long, pytest.mark.timeout(900)]
 
 
 @lru_cache(maxsize=None)
@@ -46,7 +46,6 @@ def assert_held_out_falls(report: dict) -> None:
     assert error["augmented"] < 0.7 * error["retuned"] and error["augmented"] < error["nominal"]
 
 
-@SLOW
 @pytest.mark.parametrize("name", NOTHING)
 def test_nothing_is_missing_where_parameters_are_only_wrong(name):
     report = explained(name)
@@ -57,7 +56,6 @@ def test_nothing_is_missing_where_parameters_are_only_wrong(name):
     assert any(row["size"] != "NOT_EXCITED" for row in report["detectability"])
 
 
-@SLOW
 @pytest.mark.parametrize("name", SINGLE)
 def test_the_effect_is_named_with_its_joint(name):
     report = explained(name)
@@ -66,14 +64,12 @@ def test_the_effect_is_named_with_its_joint(name):
     assert_held_out_falls(report)
 
 
-@SLOW
 def test_both_effects_of_a_pair_are_named():
     report = explained(PAIR)
     assert sorted(scoring.said_of(report)) == sorted(scoring.truth_of(answer(PAIR)))
     assert_held_out_falls(report)
 
 
-@SLOW
 def test_what_is_outside_the_library_has_no_name_but_a_shape():
     report = explained(OUTSIDE)
     assert report["verdict"] in scoring.ABSTAINED
@@ -83,7 +79,6 @@ def test_what_is_outside_the_library_has_no_name_but_a_shape():
         assert shape["line_hz"] == pytest.approx(outside["line_hz"], abs=0.2)
 
 
-@SLOW
 @pytest.mark.parametrize("name", FAULTS)
 def test_faulty_data_get_no_name_but_channel_and_row(name):
     report = explained(name)
@@ -92,7 +87,6 @@ def test_faulty_data_get_no_name_but_channel_and_row(name):
     assert right == (True, True, True), report["faults"]
 
 
-@pytest.mark.timeout(900)
 def test_most_intervals_hold_the_truth():
     held = {}
     for name in (*SINGLE, PAIR):
@@ -102,7 +96,6 @@ def test_most_intervals_hold_the_truth():
     assert sum(held.values()) >= 0.7 * len(held), held
 
 
-@SLOW
 def test_the_same_record_gives_the_same_report_to_the_byte():
     path = str(RECORDS / f"{SINGLE[0]}.csv")
 

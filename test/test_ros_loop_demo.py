@@ -22,7 +22,7 @@ from puma_sim_core.mechanisms import load_mechanism  # noqa: E402
 from puma_sim_core.plant import load_model  # noqa: E402
 from puma_sim_ros.exciting_motion import MIDDLE, expected_volts, motion  # noqa: E402
 
-pytestmark = pytest.mark.timeout(600)
+pytestmark = [pytest.mark.long, pytest.mark.timeout(600)]
 
 
 @pytest.fixture(scope="module")

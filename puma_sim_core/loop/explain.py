@@ -226,7 +226,7 @@ class Analysis:
             causal = self._causal(point, final.names, plain, volts)
             found = shape.curves(causal, unit)
         causal = self._causal(point, final.names, shape.noise(causal, found), volts)
-        found = shape.curves(causal, unit)
+        found = shape.simplest_first(shape.curves(causal, unit))
         rng = np.random.default_rng(self.seed + 1)
         shifts = np.sort(rng.uniform(0.06, 0.94, _SHIFTS))
         return found, shape.chance(causal, found, shifts), causal

@@ -39,6 +39,8 @@ _HEIGHT = 0.5
 #: least gain [nat] of a curve that may be taken out before the noise is measured, how many are
 #: tried for each joint, and the price of a knot [nat]
 _CLEAR, _RIVALS, _KNOT_PRICE = 10.0, 6, 1.0
+#: share of the best gain from which on a simpler curve goes before it
+_NEARLY = 0.97
 #: lines per 1/(length of record), and the highest line in terms of the second cutoff
 _LINES, _TOP_LINE = 2.0, 0.95
 #: least frequency of a line, in periods over the record
@@ -191,6 +193,17 @@ def curves(causal, position_unit: str = "rad") -> list[Curve]:
             add("motor_angle", j + 1, _angle_lines(causal, j, height, torque / size), None,
                 _WITH_TORQUE)
     return sorted(found, key=lambda curve: -curve.scored.gain)
+
+
+def simplest_first(found: list[Curve]) -> list[Curve]:
+    """The curves with the simplest first of those of the best one's joint that gain nearly as much:
+    one with many knots, as over time, has the shape of anything."""
+    if not found:
+        return found
+    near = [c for c in found if c.scored.joint == found[0].scored.joint
+            and c.scored.gain > _NEARLY * found[0].scored.gain]
+    first = min(near or found[:1], key=lambda c: len(c.scored.coefficients))
+    return [first, *(c for c in found if c is not first)]
 
 
 def chance(causal, found: list[Curve], shifts) -> float:

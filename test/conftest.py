@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""`--share n/m`: of the tests that are marked long, every m-th from the n-th on.
+
+Two interpreters that run side by side share them out: their numbers are the same on any.
+"""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+
+def pytest_addoption(parser):
+    parser.addoption("--share", default="1/1", metavar="N/M", type=_share,
+                     help="of the tests marked long, every M-th from the N-th on")
+
+
+def _share(text: str) -> tuple[int, int]:
+    found = re.fullmatch(r"(\d+)/(\d+)", text)
+    number, of = (int(part) for part in found.groups()) if found else (0, 0)
+    if not 1 <= number <= of:
+        raise pytest.UsageError(f"--share {text}: expected N/M with 1 <= N <= M")
+    return number, of
+
+
+def pytest_collection_modifyitems(config, items):
+    share = config.getoption("--share")
+    number, of = _share(share) if isinstance(share, str) else share
+    long = [item for item in items if item.get_closest_marker("long")]
+    others = {id(item) for k, item in enumerate(long) if k % of != number - 1}
+    left = [item for item in items if id(item) in others]
+    if left:
+        config.hook.pytest_deselected(items=left)
+        items[:] = [item for item in items if id(item) not in others]
