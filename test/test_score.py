@@ -135,7 +135,10 @@ def test_single_effects():
     row = row_of(outcome(answered, report("NAMED", said("coulomb_friction", 3),
                                           said("voltage_offset", 2), augmented=2.5)))
     assert row["top1"] and not row["exact"] and not row["joint_right"] and row["needless"]
-    assert row["worse"] is True and row["ratio"] is None
+    assert row["worse"] is True and row["only_here"] and row["ratio"] is None
+    unlucky = row_of(outcome(answered, report("NAMED", said("coulomb_friction", 2), augmented=2.5),
+                             true_structure=[2.4] * 3))
+    assert unlucky["worse"] is True and not unlucky["only_here"]
     row = row_of(outcome(answered, report("NOTHING_MISSING")))
     assert not row["top1"] and not row["named"] and row["worse"] is None
 

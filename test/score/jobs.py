@@ -61,6 +61,17 @@ def work(recipe, folder, small: bool = True) -> dict:
     return outcome
 
 
+def seconds_alone(recipe, folder) -> float:
+    """Seconds [s] of `explain` on a recipe's record, with nothing beside it."""
+    path, _ = generate.make(recipe, folder)
+    try:
+        started = time.perf_counter()
+        explain(str(path))
+        return round(time.perf_counter() - started, 2)
+    finally:
+        path.unlink()
+
+
 def warm_up() -> None:
     """Compile what is compiled before any record is timed; processes that follow inherit it."""
     explain(str(sorted((Path(generate.__file__).parent / "records").glob("*.csv"))[0]))

@@ -36,6 +36,10 @@ from . import jobs, plan, table  # noqa: E402
 from .scoring import row_of  # noqa: E402
 
 
+#: records, the slowest ones, that are explained again with nothing beside them
+_AGAIN = 3
+
+
 def main(arguments=None) -> int:
     given = _parser().parse_args(arguments)
     seed = given.seed if given.seed is not None else (
@@ -54,8 +58,7 @@ def main(arguments=None) -> int:
     left = [recipe for recipe in recipes if _key(recipe) not in done]
     print(f"{len(recipes)} records, seeds {seed} to {seed + len(recipes) - 1}, "
           f"{len(recipes) - len(left)} of them explained before", flush=True)
-    if left:
-        jobs.warm_up()
+    jobs.warm_up()
     with tempfile.TemporaryDirectory(prefix="score-") as records, \
             open(folder / "outcomes.jsonl", "a", encoding="utf-8") as kept:
         kept.write("\n")  # the line before may have been cut short
@@ -66,10 +69,12 @@ def main(arguments=None) -> int:
             kept.flush()
             count += 1
             print(f"{count:4d}/{len(recipes)} {table.line(outcome)}", flush=True)
+        alone = [jobs.seconds_alone(recipe, records) for recipe in _slowest(recipes, done)]
     outcomes = [done[_key(recipe)] for recipe in sorted(recipes, key=lambda r: r.seed)]
     rows = [row_of(outcome) for outcome in outcomes if not outcome["skipped"]]
     text = table.text(rows, title=f"Seeds {seed} to {seed + len(recipes) - 1}"
-                      + (" (development: no figure to show)" if given.development else ""))
+                      + (" (development: no figure to show)" if given.development else ""),
+                      alone=alone)
     print(f"\n{text}")
     summary = {"seed": seed, "code": code, "development": given.development,
                "rows": _finite(rows)}
@@ -94,6 +99,13 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--processes", type=int, default=2, metavar="N")
     parser.add_argument("--out", default="build/score", metavar="FOLDER")
     return parser
+
+
+def _slowest(recipes, done) -> list:
+    """The recipes whose explanations took longest: two at a time share the cores."""
+    timed = [(done[_key(recipe)]["seconds"], n) for n, recipe in enumerate(recipes)
+             if done[_key(recipe)]["seconds"] is not None and recipe.fault is None]
+    return [recipes[n] for _, n in sorted(timed, reverse=True)[:_AGAIN]]
 
 
 def _only(text: str) -> tuple[str, int]:

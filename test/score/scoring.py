@@ -170,6 +170,8 @@ def _errors(row: dict, outcome: dict, report: dict, truth: list[tuple]) -> None:
     row["against_retuned"] = _ratio(ours, retuned) if row["named"] else None
     row["worse"] = None if row["against_retuned"] is None else (
         row["against_retuned"] > 1.0 + _WORSE)
+    truth_over = _ratio(true, retuned) if true is not None and row["worse"] else None
+    row["only_here"] = truth_over is None or truth_over <= 1.0 + _WORSE
     for name, made in (outcome.get("baselines") or {}).items():
         names = [tuple(each) for each in made["names"]]
         row["baselines"][name] = {

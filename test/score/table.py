@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 import math
 
 from .rates import clopper_pearson, wilson
@@ -76,8 +76,8 @@ def _right(row: dict) -> bool:
             "fault": lambda: all(row["fault"])}[row["kind"]]()
 
 
-def text(rows: list[dict], title: str = "") -> str:
-    """The whole table."""
+def text(rows: list[dict], title: str = "", alone: Sequence[float] = ()) -> str:
+    """The whole table. alone : seconds of the slowest records when nothing runs beside them."""
     of = {kind: [row for row in rows if row["kind"] == kind]
           for kind in ("nothing", "single", "pair", "outside", "fault")}
     seen = [row for row in of["single"] if row["size"] >= LEAST_SIZE]
@@ -113,11 +113,16 @@ def text(rows: list[dict], title: str = "") -> str:
     out += _ratios("  mean, where nothing is missing", of["nothing"], None)
     worse = [row for row in rows if row.get("worse") is not None]
     out.append(_share("named, and held out worse than retuned", worse, "worse", "0"))
+    out.append(_share("  and the true structure is not", worse,
+                      lambda row: row["worse"] and row["only_here"]))
     seconds = sorted(row["seconds"] for row in rows if row["seconds"] is not None
                      and row["kind"] != "fault")
     if seconds:
         out.append(_row("seconds a record: median, worst",
                         f"{_quantile(seconds, 0.5):.1f}, {seconds[-1]:.1f}", "15; <= 60"))
+    if alone:
+        out.append(_row("  the slowest again, each alone",
+                        ", ".join(f"{each:.1f}" for each in alone), "<= 60"))
     memory = [row["megabytes"] for row in rows if row.get("megabytes")]
     if memory:
         out.append(_row("memory of a process [MB]", str(max(memory)), "< 2000"))
