@@ -25,7 +25,9 @@ TIE_NATS, TIE_SHARE = 8.0, 0.003
 _PROMISED = 0.7
 #: share of the best gain above which a trial is fitted again with its own derivatives, for how
 #: many, and from which gain [nat] on
-_NEAR, _POLISHED, _WORTH = 0.8, 4, 8.0
+_NEAR, _POLISHED, _WORTH = 0.6, 4, 8.0
+#: most times that its derivatives are taken, and the gain [nat] below which that is enough
+_POLISHINGS, _SMOOTH = 3, 2.0
 #: shares of a screened threshold that a fit may start from
 _STARTS = (0.7, 0.8, 0.87, 0.94, 1.0, 1.07, 1.15, 1.3)
 #: change [nat] of the rows kept back, and share of the gain, below which an effect does not act
@@ -93,8 +95,10 @@ class Trials:
                          f"{_IMPOSSIBLE}: {problem}")
         free = [(number, name) for name in self.names(effect, scored.values)]
         price = _price(scored)
+        fixed = scored.entry is not None and scored.entry.candidate.fixed
+        as_screened = (*base.point.effects, effect)
         if start is None:
-            if scored.entry is not None and scored.entry.candidate.fixed:
+            if fixed:
                 effect = self._best_start(fit, base, effect, next(iter(scored.values)))
             start = Point(base.point.theta, (*base.point.effects, effect))
         fitted = fit.run(start, free, known=known, known_free=known_free, rounds=5)
@@ -103,8 +107,9 @@ class Trials:
             # a model without the effect may have stretched its parameters so far that they, or
             # derivatives about them, are of no use to the model with it
             starts = [Point(self.mechanism.start, start.effects)]
-            if fitted is not None and scored.entry is not None and scored.entry.candidate.fixed:
-                starts.append(fitted.point)
+            if fitted is not None and fixed:
+                # a limit that fits best with the parameters as they are may not be where it is
+                starts += [fitted.point, Point(self.mechanism.start, as_screened)]
             if scored.name in TWO_MASSES:
                 # a model of two masses takes ten times as long to run, and answers to the arm's
                 # parameters much as the rigid one does
@@ -162,8 +167,14 @@ class Trials:
         for s, t in zip(short, trials):
             if t in near and len(near) > 1:
                 pairs = (*known_free, *t.fitted.names[len(known_free):])
-                known = fit.white(fit.derivatives(t.fitted.point, pairs))
-                fitted = fit.run(t.fitted.point, (), known=known, known_free=pairs, rounds=3)
+                fitted, before = t.fitted, t.fitted.objective
+                heavy = any(e.kind.name in TWO_MASSES for e in fitted.point.effects)
+                for _ in range(1 if heavy else _POLISHINGS):
+                    known = fit.white(fit.derivatives(fitted.point, pairs))
+                    fitted = fit.run(fitted.point, (), known=known, known_free=pairs, rounds=3)
+                    if before - fitted.objective < _SMOOTH:
+                        break
+                    before = fitted.objective
                 t = self._judged(fit, base, s, fitted)
             result.append(t)
         return result
