@@ -31,6 +31,12 @@ _TYPICAL = {"rad": 0.02, "s": 1e-3, "V": 0.1, "N.m": 1.0, "1": 0.1, "A": 1.0, "k
             "rad/s": 0.05, "N.m/rad": 5.0, "N.m.s/rad": 1.0, "1/A": 1e-3, "N.m.s2/rad2": 1.0}
 
 
+#: (effect, parameter) -> how far it must move to matter, or the parameter that says so
+_MATTERS = {("soft_stop", "lower"): 0.02, ("soft_stop", "upper"): 0.02,
+            ("impulse", "time"): "width", ("transmission_error", "order"): 1.0,
+            ("voltage_saturation", "voltage"): 1.0, ("current_limit", "current"): 0.2}
+
+
 @dataclass(frozen=True)
 class Point:
     """A model: parameters theta (p,) and effects."""
@@ -101,7 +107,7 @@ class PredictionFit:
 
     def _by_effect(self, point, raw, number, name) -> np.ndarray:
         effect = point.effects[number]
-        size = max(abs(effect.values[name]), 0.3 * typical(effect, name))
+        size = _size(effect, name)
         for sign in (1.0, -1.0):
             effects = _with_value(point.effects, number, name,
                                   effect.values[name] + sign * _EFFECT_DIFFERENCE * size)
@@ -160,8 +166,7 @@ class PredictionFit:
 
     def sizes(self, point: Point, pairs) -> list[float]:
         """What the columns of effects are derivatives per: the size of each parameter."""
-        return [max(abs(point.effects[number].values[name]),
-                    0.3 * typical(point.effects[number], name)) for number, name in pairs]
+        return [_size(point.effects[number], name) for number, name in pairs]
 
     def _step(self, point, step, pairs, sizes) -> Point | None:
         m = self.mechanism
@@ -180,6 +185,16 @@ class PredictionFit:
     def held_sum(self, errors: np.ndarray) -> float:
         """Half the sum of squares of the white errors that are kept back."""
         return 0.5 * float((errors[self.predictor.held_rows] ** 2).sum())
+
+
+def _size(effect: Effect, name: str) -> float:
+    """What derivatives by a parameter are per: its size, or, of a place that has no zero, how far it
+    must move to matter. A hundredth of the angle at which a stop begins, of the time of a blow, or
+    of a limit that is met by little, may jump over all of it."""
+    size = _MATTERS.get((effect.kind.name, name))
+    if size is not None:
+        return effect.values[size] if isinstance(size, str) else size
+    return max(abs(effect.values[name]), 0.3 * typical(effect, name))
 
 
 def typical(effect: Effect, name: str) -> float:
