@@ -31,6 +31,8 @@ _TYPICAL = {"rad": 0.02, "s": 1e-3, "V": 0.1, "N.m": 1.0, "1": 0.1, "A": 1.0, "k
             "rad/s": 0.05, "N.m/rad": 5.0, "N.m.s/rad": 1.0, "1/A": 1e-3, "N.m.s2/rad2": 1.0}
 
 
+#: greatest step of a parameter of an effect, in its sizes
+_FARTHEST = 1.5
 #: (effect, parameter) -> how far it must move to matter, or the parameter that says so
 _MATTERS = {("soft_stop", "lower"): 0.02, ("soft_stop", "upper"): 0.02,
             ("impulse", "time"): "width", ("transmission_error", "order"): 1.0,
@@ -148,7 +150,7 @@ class PredictionFit:
             c = len(pairs)
             normal = full.T @ full + np.diag([1.0] * p + [1e-4] * c)
             gradient = full.T @ errors[self.rows] + np.concatenate([position, np.zeros(c)])
-            step = -cho_solve(cho_factor(normal, lower=True), gradient)
+            step = _bounded_step(normal, gradient, p)
             gained = 0.0
             for share in (1.0, 0.5, 0.25, 0.1):
                 moved = self._step(point, share * step, pairs, sizes)
@@ -176,7 +178,7 @@ class PredictionFit:
             return None
         effects = point.effects
         for (number, name), change, size in zip(pairs, step[p:], sizes):
-            value = effects[number].values[name] + float(np.clip(change, -1.5, 1.5)) * size
+            value = effects[number].values[name] + change * size
             effects = _with_value(effects, number, name, value, clip=True)
             if effects is None:
                 return None
@@ -185,6 +187,23 @@ class PredictionFit:
     def held_sum(self, errors: np.ndarray) -> float:
         """Half the sum of squares of the white errors that are kept back."""
         return 0.5 * float((errors[self.predictor.held_rows] ** 2).sum())
+
+
+def _bounded_step(normal, gradient, first: int) -> np.ndarray:
+    """The step of Gauss and Newton with those from the `first` one on, in their sizes, no greater
+    than `_FARTHEST`: the others answer to what these are held at, else they would make room for a
+    change that does not come."""
+    step, held = np.zeros(len(gradient)), np.zeros(len(gradient), dtype=bool)
+    while True:
+        free = ~held
+        wanted = gradient[free] + normal[np.ix_(free, held)] @ step[held]
+        step[free] = -cho_solve(cho_factor(normal[np.ix_(free, free)], lower=True), wanted)
+        far = free & (np.abs(step) > _FARTHEST)
+        far[:first] = False
+        if not far.any():
+            return step
+        step[far] = np.copysign(_FARTHEST, step[far])
+        held |= far
 
 
 def _size(effect: Effect, name: str) -> float:

@@ -9,9 +9,12 @@ things said of it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from ..effects import KINDS, Effect
+from ..effects.screening import Illegal
 from ..errors import ParameterError
 from .evidence import Scored
 from .prediction import Fitted, Point
@@ -28,6 +31,8 @@ _PROMISED = 0.7
 _NEAR, _POLISHED, _WORTH = 0.6, 4, 8.0
 #: most times that its derivatives are taken, and the gain [nat] below which that is enough
 _POLISHINGS, _SMOOTH = 3, 2.0
+#: share of screened coefficients that slopes are taken over
+_LITTLE = 1e-3
 #: shares of a screened threshold that a fit may start from
 _STARTS = (0.7, 0.8, 0.87, 0.94, 1.0, 1.07, 1.15, 1.3)
 #: change [nat] of the rows kept back, and share of the gain, below which an effect does not act
@@ -41,6 +46,8 @@ TWO_MASSES = frozenset({"backlash", "joint_elasticity"})
 _IMPOSSIBLE = "it would need an impossible value"
 #: stiffnesses of which more means less of an effect
 _LESS_WHEN_STIFFER = {("joint_elasticity", "stiffness"), ("presliding_friction", "stiffness")}
+#: parameters that say where or how fast an effect acts, not how much
+_NO_SIZE = frozenset({"velocity", "stiffness", "time_constant", "width", "period", "order"})
 #: how far outside its plausible sizes a parameter may come out
 _BEYOND = 4.0
 
@@ -102,11 +109,20 @@ class Trials:
                 effect = self._best_start(fit, base, effect, next(iter(scored.values)))
             start = Point(base.point.theta, (*base.point.effects, effect))
         fitted = fit.run(start, free, known=known, known_free=known_free, rounds=5)
+        answered = None
+        if fitted is None or fitted.objective > base.objective:
+            answered = self._answered(fit, base, known, scored)
+        if answered is not None:
+            found = fitted, fit.run(answered, free, known=known, known_free=known_free, rounds=5)
+            fitted = min((f for f in found if f is not None), key=lambda f: f.objective,
+                         default=None)
         if again and (fitted is None
                       or base.objective - fitted.objective < _PROMISED * scored.gain):
             # a model without the effect may have stretched its parameters so far that they, or
             # derivatives about them, are of no use to the model with it
             starts = [Point(self.mechanism.start, start.effects)]
+            if answered is not None:
+                starts.append(fitted.point if fitted is not None else answered)
             if fitted is not None and fixed:
                 # a limit that fits best with the parameters as they are may not be where it is
                 starts += [fitted.point, Point(self.mechanism.start, as_screened)]
@@ -125,6 +141,28 @@ class Trials:
             return Trial(scored.name, scored.joint, 0.0, 0.0, None, price,
                          "the model with it does not stay finite along the log")
         return self._judged(fit, base, scored, fitted)
+
+    def _answered(self, fit, base: Fitted, known, scored: Scored) -> Point | None:
+        """The model with an effect as screened and the parameters as they answer to it, both by
+        slopes about nothing of it: one that looks like parameters, such as a load, is far from the
+        log as long as they have taken its place."""
+        if scored.entry is None or scored.entry.candidate.fixed or scored.name in TWO_MASSES:
+            return None
+        values = scored.entry.candidate.values
+        try:
+            little, whole = (self.effect(replace(scored, values=values(part * scored.coefficients)))
+                             for part in (_LITTLE, 1.0))
+        except (Illegal, ParameterError):
+            return None
+        errors = fit.errors(Point(base.point.theta, (*base.point.effects, little)))
+        if errors is None:
+            return None
+        slope = (errors - base.errors)[fit.rows] / _LITTLE
+        p = len(base.point.theta)
+        prior = np.r_[np.ones(p), np.full(known.shape[1] - p, 1e-4)]
+        answer = -np.linalg.solve(known.T @ known + np.diag(prior), known.T @ slope)
+        theta = self.mechanism.clip(base.point.theta + answer[:p] * self.mechanism.deviations)
+        return Point(theta, (*base.point.effects, whole))
 
     def _judged(self, fit, base: Fitted, scored: Scored, fitted: Fitted) -> Trial:
         price = _price(scored)
@@ -212,16 +250,32 @@ class Trials:
         return plant.effects[-1]
 
     def implausible(self, effect: Effect) -> str | None:
-        screening = effect.kind.screening
-        for name, low, high in screening.plausible:
+        """Why an effect can be none of this machine, None where it may be one; of other mechanisms
+        than the arm no sizes are known."""
+        if not self._on_arm():
+            return None
+        for name, low, high in effect.kind.screening.plausible:
             value = effect.values.get(name)
-            if value is None or not self._on_arm():
+            if value is None:
                 continue
             if value > _BEYOND * high and (effect.kind.name, name) not in _LESS_WHEN_STIFFER:
                 return f"{_IMPOSSIBLE}: {name} {value:.3g}, more than any machine has ({high:.3g})"
             if name in ("velocity", "stiffness") and value < low / _BEYOND:
                 return f"{_IMPOSSIBLE}: {name} {value:.3g}, less than any machine has ({low:.3g})"
-        return None
+        return self._too_small(effect)
+
+    @staticmethod
+    def _too_small(effect: Effect) -> str | None:
+        """Why an effect is less than any machine has, if all of its sizes are."""
+        found = None
+        for name, low, high in effect.kind.screening.plausible:
+            if name in _NO_SIZE:
+                continue
+            value = abs(effect.values.get(name, np.inf))
+            if value >= low / _BEYOND:
+                return None
+            found = f"{_IMPOSSIBLE}: {name} {value:.3g}, less than any machine has ({low:.3g})"
+        return found
 
     def _on_arm(self) -> bool:
         return self.problem.sampled.joints == 3
