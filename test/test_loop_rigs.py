@@ -56,7 +56,7 @@ def test_the_pendulum_lacks_friction_by_the_torque_that_its_gear_transmits():
     errors = {path: free_run_error(found.model, path) for path in runs}
     assert np.mean([errors[path] for path in kept]) < 0.085 < VISCOUS_ONLY
     # fitted to four runs, at all eight
-    assert np.mean(list(errors.values())) < 1.2 * LOADED
+    assert np.mean(list(errors.values())) < 1.3 * LOADED
 
 
 def test_emps_lacks_friction_that_differs_by_direction():

@@ -101,52 +101,47 @@ class Trials:
             return Trial(scored.name, scored.joint, 0.0, 0.0, None, scored.price,
                          f"{_IMPOSSIBLE}: {problem}")
         free = [(number, name) for name in self.names(effect, scored.values)]
-        price = _price(scored)
-        fixed = scored.entry is not None and scored.entry.candidate.fixed
-        as_screened = (*base.point.effects, effect)
+        screened = Point(base.point.theta, (*base.point.effects, effect))
         if start is None:
-            if fixed:
-                effect = self._best_start(fit, base, effect, next(iter(scored.values)))
-            start = Point(base.point.theta, (*base.point.effects, effect))
+            start = self._best_start(fit, screened, scored)
         fitted = fit.run(start, free, known=known, known_free=known_free, rounds=5)
         answered = None
         if fitted is None or fitted.objective > base.objective:
             answered = self._answered(fit, base, known, scored)
         if answered is not None:
-            found = fitted, fit.run(answered, free, known=known, known_free=known_free, rounds=5)
-            fitted = min((f for f in found if f is not None), key=lambda f: f.objective,
-                         default=None)
+            fitted = _lowest(fitted, fit.run(answered, free, known=known, known_free=known_free,
+                                             rounds=5))
         if again and (fitted is None
                       or base.objective - fitted.objective < _PROMISED * scored.gain):
             # a model without the effect may have stretched its parameters so far that they, or
             # derivatives about them, are of no use to the model with it
             starts = [Point(self.mechanism.start, start.effects)]
             if answered is not None:
-                starts.append(fitted.point if fitted is not None else answered)
-            if fitted is not None and fixed:
+                starts.append(answered if fitted is None else fitted.point)
+            if fitted is not None and _fixed(scored):
                 # a limit that fits best with the parameters as they are may not be where it is
-                starts += [fitted.point, Point(self.mechanism.start, as_screened)]
-            if scored.name in TWO_MASSES:
-                # a model of two masses takes ten times as long to run, and answers to the arm's
-                # parameters much as the rigid one does
-                rigid = fit.white(fit.derivatives(Point(self.mechanism.start, base.point.effects),
-                                                  known_free))
-                found = [fitted, *(fit.run(at, free, known=rigid, known_free=known_free, rounds=6)
-                                   for at in starts)]
-            else:
-                found = [fitted, *(fit.run(at, (*known_free, *free), rounds=3) for at in starts)]
-            fitted = min((f for f in found if f is not None), key=lambda f: f.objective,
-                         default=None)
+                starts += [fitted.point, Point(self.mechanism.start, screened.effects)]
+            fitted = _lowest(fitted, *self._anew(fit, base, known_free, free, starts))
         if fitted is None:
-            return Trial(scored.name, scored.joint, 0.0, 0.0, None, price,
+            return Trial(scored.name, scored.joint, 0.0, 0.0, None, _price(scored),
                          "the model with it does not stay finite along the log")
         return self._judged(fit, base, scored, fitted)
+
+    def _anew(self, fit, base: Fitted, known_free, free, starts) -> list[Fitted | None]:
+        """Fits from several starts with derivatives about each."""
+        if starts[0].effects[-1].kind.name not in TWO_MASSES:
+            return [fit.run(at, (*known_free, *free), rounds=3) for at in starts]
+        # a model of two masses takes ten times as long to run, and answers to the arm's parameters
+        # much as the rigid one does
+        rigid = fit.white(fit.derivatives(Point(self.mechanism.start, base.point.effects),
+                                          known_free))
+        return [fit.run(at, free, known=rigid, known_free=known_free, rounds=6) for at in starts]
 
     def _answered(self, fit, base: Fitted, known, scored: Scored) -> Point | None:
         """The model with an effect as screened and the parameters as they answer to it, both by
         slopes about nothing of it: one that looks like parameters, such as a load, is far from the
         log as long as they have taken its place."""
-        if scored.entry is None or scored.entry.candidate.fixed or scored.name in TWO_MASSES:
+        if scored.entry is None or _fixed(scored) or scored.name in TWO_MASSES:
             return None
         values = scored.entry.candidate.values
         try:
@@ -179,20 +174,25 @@ class Trials:
             held = _UNTOUCHED
         return held
 
-    def _best_start(self, fit, base: Fitted, effect: Effect, name: str) -> Effect:
-        """The effect with the value of a threshold or a stiffness that fits best of a few: it acts
-        where that value is, which no slope tells."""
+    @staticmethod
+    def _best_start(fit, screened: Point, scored: Scored) -> Point:
+        """The screened model, its threshold or stiffness the one that fits best of a few: an effect
+        that has one acts where that value is, which no slope tells."""
+        if not _fixed(scored):
+            return screened
+        effect, name = screened.effects[-1], next(iter(scored.values))
         spec = next(p for p in effect.kind.parameters if p.name == name)
         best = None
         for share in _STARTS:
             value = min(max(share * effect.values[name], spec.low), spec.high)
             moved = Effect(effect.kind, effect.joint, {**effect.values, name: value})
-            errors = fit.errors(Point(base.point.theta, (*base.point.effects, moved)))
+            point = Point(screened.theta, (*screened.effects[:-1], moved))
+            errors = fit.errors(point)
             if errors is not None:
-                objective = fit.objective(errors, base.point.theta)
+                objective = fit.objective(errors, point.theta)
                 if best is None or objective < best[0]:
-                    best = objective, moved
-        return effect if best is None else best[1]
+                    best = objective, point
+        return screened if best is None else best[1]
 
     def polished(self, fit, base: Fitted, known_free, short, trials) -> list[Trial]:
         """Those that are near the best fitted again, with all derivatives about themselves."""
@@ -279,6 +279,16 @@ class Trials:
 
     def _on_arm(self) -> bool:
         return self.problem.sampled.joints == 3
+
+
+def _fixed(scored: Scored) -> bool:
+    """Whether a hypothesis has no coefficients: its values are those of a grid."""
+    return scored.entry is not None and scored.entry.candidate.fixed
+
+
+def _lowest(*fits: Fitted | None) -> Fitted | None:
+    """The fit with the lowest objective of those that there are."""
+    return min((f for f in fits if f is not None), key=lambda f: f.objective, default=None)
 
 
 def _price(scored: Scored) -> float:
