@@ -13,7 +13,7 @@ import pytest
 
 
 def pytest_addoption(parser):
-    parser.addoption("--share", default="1/1", metavar="N/M", type=_share,
+    parser.addoption("--share", default=(1, 1), metavar="N/M", type=_share,
                      help="of the tests marked long, every M-th from the N-th on")
 
 
@@ -26,8 +26,7 @@ def _share(text: str) -> tuple[int, int]:
 
 
 def pytest_collection_modifyitems(config, items):
-    share = config.getoption("--share")
-    number, of = _share(share) if isinstance(share, str) else share
+    number, of = config.getoption("--share")
     long = [item for item in items if item.get_closest_marker("long")]
     others = {id(item) for k, item in enumerate(long) if k % of != number - 1}
     left = [item for item in items if id(item) in others]

@@ -142,6 +142,11 @@ def test_what_more_of_makes_less_of_an_effect_is_not_too_much():
     assert "stiffness 20, less than any machine has" in chooser.implausible(soft)
     heavy = parse_effect("coulomb_friction:joint=1,torque=400")
     assert "torque 400, more than any machine has" in chooser.implausible(heavy)
+    tiny = parse_effect("voltage_dead_band:joint=2,voltage=0.004")
+    assert "voltage 0.004, less than any machine has" in chooser.implausible(tiny)
+    # one size of two may be small, and what says where or how fast has none
+    assert chooser.implausible(parse_effect("base_tilt:x=0.0001,y=0.03")) is None
+    assert chooser.implausible(parse_effect("impulse:joint=1,torque=9,time=3,width=0.001")) is None
 
 
 def offset(gain, angle, problem):

@@ -10,7 +10,7 @@ import pytest
 
 from loop_logs import pieces, record
 from puma_sim_core.effects import Effect, parse_effect
-from puma_sim_core.loop.prediction import Point, PredictionFit
+from puma_sim_core.loop.prediction import _FARTHEST, Point, PredictionFit, _bounded_step
 from puma_sim_core.mechanisms import load_mechanism
 
 NOISE = 0.02
@@ -42,4 +42,15 @@ def test_a_fit_comes_to_the_place(text, off):
     for name, change in off.items():
         left = abs(found.point.effects[0].values[name] - true.values[name])
         assert left < 0.2 * abs(change), (name, found.point.effects[0].values)
-    assert np.isfinite(found.objective)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_bounded_step_is_the_least_that_its_bounds_allow(seed):
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((8, 5))
+    normal, gradient = A.T @ A, 20.0 * rng.standard_normal(5)
+    step = _bounded_step(normal, gradient, 2)
+    held = np.abs(step) == _FARTHEST
+    assert held[2:].any() and not held[:2].any() and np.all(np.abs(step[2:]) <= _FARTHEST)
+    # nothing is gained by moving what is not held
+    assert np.abs((normal @ step + gradient)[~held]).max() < 1e-9 * np.abs(gradient).max()

@@ -2,7 +2,8 @@
 # Copyright the puma-sim contributors
 """Compile what `explain` runs, ahead of its first use.
 
-`python -m puma_sim_core.loop.compile_ahead` takes the better part of a minute and is kept on the disk, for this user and these sources.
+`python -m puma_sim_core.loop.compile_ahead` takes the better part of a minute; what it makes is kept
+on the disk, for this user and these sources.
 """
 
 from __future__ import annotations
