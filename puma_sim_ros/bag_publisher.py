@@ -23,9 +23,9 @@ from .messages import qos
 #: endings of the topics on which a simulator listens
 _COMMANDS = ("/voltage_controller/commands", "/position_controller/commands", "/joint_commands")
 _LATCHED = ("/sim_node/model", "/robot_description")
-#: longest wait for a first subscriber, whom the middleware announces each 3 s, and the wait for
-#: the others, and for them to have found us [s]
-_FIRST, _OTHERS = 4.0, 1.0
+#: longest wait for a simulator or, where it is said what goes out, for a first subscriber, whom the
+#: middleware announces each 3 s; and the wait for the others, and for them to have found us [s]
+_LONGEST, _OTHERS = 4.0, 1.0
 
 
 def _message_type(name: str, topic: str):
@@ -36,6 +36,17 @@ def _message_type(name: str, topic: str):
     except (ImportError, AttributeError) as error:
         raise BagError(f"type {name} is not installed", where=f"topic {topic}",
                        expected="a message type of this ROS installation") from error
+
+
+def _commands(messages) -> list:
+    """Those of messages that are for a simulator."""
+    return [message for message in messages if message.topic.endswith(_COMMANDS)]
+
+
+def _simulator_runs(node, topics) -> bool:
+    """Whether someone else publishes the states, too."""
+    return any(node.count_publishers(topic) > 1 for topic in topics
+               if topic.endswith("/joint_states"))
 
 
 def publish_bag(path: str | Path, *, rate: float = 1.0, commands_only: bool | None = None) -> int:
@@ -55,6 +66,8 @@ def publish_bag(path: str | Path, *, rate: float = 1.0, commands_only: bool | No
     if not 0.0 < rate < float("inf"):
         raise BagError(f"rate {rate}", where=path, expected="a finite number above 0")
     recorded = list(iterate_messages(path))
+    if commands_only:
+        recorded = _commands(recorded)
     # without handlers of rclpy's: an interruption ends a wait here, not ROS under our feet
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("bag_publisher")
@@ -66,18 +79,20 @@ def publish_bag(path: str | Path, *, rate: float = 1.0, commands_only: bool | No
                 latched = topic.endswith(_LATCHED)
                 publishers[topic] = node.create_publisher(
                     _message_type(message.type, topic), topic, qos(10, latched=latched))
-        end = time.monotonic() + _FIRST
-        while time.monotonic() < end and not any(
-                publisher.get_subscription_count() for publisher in publishers.values()):
+
+        def awaited() -> bool:
+            # a viewer is found sooner than a simulator may be, whom it must not be mixed with
+            if commands_only is None:
+                return _simulator_runs(node, publishers)
+            return any(publisher.get_subscription_count() for publisher in publishers.values())
+
+        end = time.monotonic() + _LONGEST
+        while time.monotonic() < end and not awaited():
             time.sleep(0.02)
         time.sleep(_OTHERS)
-        if commands_only is None:
-            commands_only = any(node.count_publishers(topic) > 1 for topic in publishers
-                                if topic.endswith("/joint_states"))
-            if commands_only:
-                node.get_logger().info("a simulator is running: only the commands are published")
-        if commands_only:
-            recorded = [m for m in recorded if m.topic.endswith(_COMMANDS)]
+        if commands_only is None and _simulator_runs(node, publishers):
+            node.get_logger().info("a simulator is running: only the commands are published")
+            recorded = _commands(recorded)
         start = time.monotonic()
         for message in recorded:
             delay = start + message.time_ns * 1e-9 / rate - time.monotonic()
