@@ -14,7 +14,7 @@ from puma_sim_core.effects import KINDS, parse_effect
 from puma_sim_core.loop import trials
 from puma_sim_core.loop.evidence import Scored
 from puma_sim_core.loop.explain import _confirmed
-from puma_sim_core.loop.outcome import doubtful
+from puma_sim_core.loop.outcome import no_name_stands
 from puma_sim_core.loop.prediction import Fitted, Point
 from puma_sim_core.loop.selection import Selected, Selection, Stage
 from puma_sim_core.loop.trials import Trial, Trials, tied
@@ -89,18 +89,16 @@ def test_folds_are_not_asked_where_the_blocks_kept_back_say_yes():
     assert confirmed(errors(1.0, 0.7, 0.8, 0.5), trial(A, 90.0), trial(B, 30.0), [])[0] == (A, B)
 
 
-@pytest.mark.parametrize("gain, left, wanted", [
-    (30.0, [1.0, 1.0], False),  # little beside what was named
-    (30.0, [1.0, 3.2], True),  # most of the residual is left, at the joint of the curve
-    (30.0, [3.2, 1.0], False),
-    (70.0, [1.0, 1.0], True),  # the curve explains nearly as much as the name
-    (15.0, [1.0, 9.0], False)])  # no remainder
-def test_what_is_left_puts_a_name_in_doubt(gain, left, wanted):
-    curve = SimpleNamespace(scored=SimpleNamespace(gain=gain, joint=2))
-    selected = SimpleNamespace(keys=(A,), gain_of=lambda key: 100.0)
-    assert doubtful(selected, [curve], 0.0, np.array(left)) is wanted
-    nothing = SimpleNamespace(keys=(), gain_of=lambda key: 0.0)
-    assert not doubtful(nothing, [curve], 0.0, np.array(left))
+@pytest.mark.parametrize("curve, names, price, remains, wanted", [
+    # what is left has a shape: names are known to be inexact, and give way to what is clearly better
+    (9400.0, 10000.0, 30.0, True, True), (9600.0, 10000.0, 30.0, True, False),
+    # nothing seems to be left, but a curve leaves less than these names of a joint's noise
+    (9800.0, 10000.0, 30.0, False, True), (9900.0, 10000.0, 30.0, False, False),
+    # less by no more than its heights make of chance
+    (9800.0, 10000.0, 90.0, False, False), (980.0, 1000.0, 5.0, False, False)])
+def test_a_free_curve_that_leaves_clearly_less_lets_no_name_stand(curve, names, price, remains,
+                                                                   wanted):
+    assert no_name_stands(curve, names, price, remains) is wanted
 
 
 @pytest.mark.parametrize("limit, wanted", [(97.5, "current_limit"), (96.0, "impulse")])
@@ -142,6 +140,8 @@ def test_what_more_of_makes_less_of_an_effect_is_not_too_much():
     assert "stiffness 20, less than any machine has" in chooser.implausible(soft)
     heavy = parse_effect("coulomb_friction:joint=1,torque=400")
     assert "torque 400, more than any machine has" in chooser.implausible(heavy)
+    quick = parse_effect("resistance_drift:joint=2,share=0.4,time_constant=0.06")
+    assert "time_constant 0.06, less than any machine has" in chooser.implausible(quick)
     tiny = parse_effect("voltage_dead_band:joint=2,voltage=0.004")
     assert "voltage 0.004, less than any machine has" in chooser.implausible(tiny)
     # one size of two may be small, and what says where or how fast has none

@@ -32,7 +32,7 @@ def commutation(t, simulator):
 
 @pytest.mark.long
 @pytest.mark.parametrize("volts, axis, way", [
-    (step, "time", ""), (commutation, "motor_angle", "in proportion to the torque")])
+    (step, "time", "in one step"), (commutation, "motor_angle", "in proportion to the torque")])
 def test_the_joint_and_the_axis_of_what_has_no_name(volts, axis, way):
     found = explain(record(ARM, ARM.plant(), 0.05, 2e-5, seconds=6.0, unlogged=volts))
     assert found.shape is not None, found.sentence

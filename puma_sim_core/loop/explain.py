@@ -35,11 +35,10 @@ from .wrong_zero import wrong_zeros
 _LEAST_NOISE, _GREATEST_NOISE = 0.02, 0.5
 #: gain of a curve [nat] above which it may have stretched the parameters
 _MUCH = 150.0
+#: deviations of its prior from which on a parameter counts as stretched
+_STRETCHED = 4.0
 #: share of the best curve's gain from which on another joint's may be the one that is missing
 _RIVAL = 0.2
-#: what a free curve may leave of a joint's squared innovations, in terms of what the names leave,
-#: to put them in doubt: measured ones are never explained to the end by either
-_CLEARLY_LESS = 0.95
 #: placebos of the shapes
 _SHIFTS = 24
 
@@ -154,13 +153,9 @@ class Analysis:
         m, p = self.mechanism, self.problem
         self.progress("what is left", 0.87)
         shapes, chance, _ = self._shapes(self.selected.final)
-        if outcome.doubtful(self.selected, shapes, chance, self._left()):
-            bare = self.selected
-            for key in bare.keys:
-                bare = self.selection.without(bare, key)
-            curves, by_chance, causal = self._shapes(bare.final)
-            if self._better(causal, curves):
-                self.selected, shapes, chance = bare, curves, by_chance
+        if self.selected.keys and self._curve_is_better(shapes, chance):
+            self.selected = self.selection.bare(self.selected)
+            shapes, chance, _ = self._shapes(self.selected.final)
         s = self.selected
         final = s.final
         fit = PredictionFit(self.predictor, s.weighting)
@@ -200,33 +195,45 @@ class Analysis:
         floor = self._less(point) * self.predictor.floor_in_volts(cutoff)
         return rms(volts, self.predictor.fit_rows) / floor
 
-    def _better(self, causal, curves) -> bool:
-        """Whether the best of the curves about a model without names leaves clearly less of its
-        joint's innovations than the names do, in the noise that the curve leaves."""
+    def _curve_is_better(self, shapes, chance) -> bool:
+        """Whether a free curve about the model without names leaves clearly less of its joint's
+        innovations than the names do, in the noise that the curve leaves. shapes, chance: what is
+        left after the names."""
+        acting = {joint for _, joint in self.selected.keys}
+        joints = None if None in acting else acting
+        curves, _, causal = self._shapes(self.selection.bare(self.selected).final, joints)
         if not curves:
             return False
         best = curves[0].scored
         rows = self.predictor.fit_rows[:, best.joint - 1]
-        left = causal.left(best.entry.candidate, best.coefficients)[rows, best.joint - 1]
-        named = causal.fit.weighting(self._raw(self.selected.final.point))[rows, best.joint - 1]
-        return left @ left < _CLEARLY_LESS * (named @ named)
+        curve = causal.left(best.entry.candidate, best.coefficients)[rows, best.joint - 1]
+        names = causal.fit.weighting(self._raw(self.selected.final.point))[rows, best.joint - 1]
+        remains = outcome.remainder(self.selected, shapes, chance, self._left()) is not None
+        return outcome.no_name_stands(float(curve @ curve), float(names @ names), best.price,
+                                      remains)
 
-    def _shapes(self, final) -> tuple[list, float, CausalScreen]:
-        """Free curves against what is left, in the noise that the best of them leaves; the greatest
-        gain that chance gives any of them; the screen that they are scored in (step 10)."""
+    def _shapes(self, final, joints=None) -> tuple[list, float, CausalScreen]:
+        """Free curves of some joints (1-based; None: of all) against what is left, in the noise
+        that the best of them leaves; the greatest gain that chance gives any of them; the screen
+        that they are scored in (step 10)."""
         predictor, unit = self.predictor, self.mechanism.position_unit
         # the first noise is the least that the innovations allow: one fitted to all that is left
         # would take what is missing for noise
         plain = predictor.white_weighting(self._raw(final.point))
         point, volts = final.point, None
         causal = self._causal(point, final.names, plain)
-        found = shape.curves(causal, unit)
-        if found and found[0].scored.gain > _MUCH:
-            point, volts = self._relaxed(causal, found, final)
+        found = shape.curves(causal, unit, joints)
+        stretched = self._stretched(point)
+        if found and (found[0].scored.gain > _MUCH or stretched):
+            about = [(causal, found)]
+            if stretched:
+                start = self._causal(Point(self.mechanism.start, point.effects), final.names, plain)
+                about.append((start, shape.curves(start, unit, joints)))
+            point, volts = self._relaxed(about, final)
             causal = self._causal(point, final.names, plain, volts)
-            found = shape.curves(causal, unit)
+            found = shape.curves(causal, unit, joints)
         causal = self._causal(point, final.names, shape.noise(causal, found), volts)
-        found = shape.simplest_first(shape.curves(causal, unit))
+        found = shape.simplest_first(shape.curves(causal, unit, joints))
         rng = np.random.default_rng(self.seed + 1)
         shifts = np.sort(rng.uniform(0.06, 0.94, _SHIFTS))
         return found, shape.chance(causal, found, shifts), causal
@@ -247,26 +254,32 @@ class Analysis:
         return CausalScreen(fit, point, weighting(raw),
                             fit.white(fit.derivatives(point, names)), self.problem)
 
-    def _relaxed(self, causal, found, final) -> tuple[Point, np.ndarray | None]:
+    def _stretched(self, point) -> bool:
+        """Whether parameters went farther than their priors allow."""
+        m = self.mechanism
+        return bool(np.any(np.abs(point.theta - m.start) > _STRETCHED * m.deviations))
+
+    def _relaxed(self, about, final) -> tuple[Point, np.ndarray | None]:
         """The parameters as they are when the curve that explains the log best takes its part
         (N, J) of the voltage, and that part. What is missing may have stretched them so far that no
         curve fits about them, and it shows at the joints that the inertia couples to its own: so
-        the best curve of each joint is tried."""
-        best: dict = {}
-        for curve in found:
-            best.setdefault(curve.scored.joint, curve)
+        the best curve of each joint is tried. about : (screen, its curves) about several points."""
         starts = (final.point, Point(self.mechanism.start, final.point.effects))
         tried = []
-        for curve in best.values():
-            if curve.scored.gain < _RIVAL * found[0].scored.gain:
-                continue
-            volts = curve.volts(causal)
-            fit = PredictionFit(self.predictor.less(volts), causal.fit.weighting)
-            for start in starts:
-                fitted = fit.run(start, final.names, rounds=4)
-                if fitted is not None:
-                    tried.append((fitted.objective + curve.scored.price, len(tried), fitted.point,
-                                  volts))
+        for causal, found in about:
+            best: dict = {}
+            for curve in found:
+                best.setdefault(curve.scored.joint, curve)
+            for curve in best.values():
+                if curve.scored.gain < _RIVAL * found[0].scored.gain:
+                    continue
+                volts = curve.volts(causal)
+                fit = PredictionFit(self.predictor.less(volts), causal.fit.weighting)
+                for start in starts:
+                    fitted = fit.run(start, final.names, rounds=4)
+                    if fitted is not None:
+                        tried.append((fitted.objective + curve.scored.price, len(tried),
+                                      fitted.point, volts))
         return min(tried)[2:] if tried else (final.point, None)
 
     def _volts(self, plant) -> np.ndarray:

@@ -13,18 +13,20 @@ from ..effects.columns import EXACT_TIES
 from .next_experiment import next_experiment
 from .result import (NAMED, NAMED_WITH_REMAINDER, NOTHING_MISSING, UNNAMED, Drawn, Explanation,
                      Fault, Hypothesis, Interval, NamedEffect, Ranked, RuledOut)
-from .trials import tied
+from .selection import LEAST_GAIN
 from .shape import describe
+from .trials import tied
 
 #: least gain [nat] of a remainder, and its least share of the gain of the first effect
-_REMAINDER, _REMAINDER_SHARE = 20.0, 0.01
-#: a residual of so many times its floor is no mere inexactness of what was named; of so many, what
-#: was named is not what is missing
-_LEFT, _MOST_LEFT = 1.5, 3.0
+_REMAINDER, _REMAINDER_SHARE = 20.0, 0.003
+#: a residual of so many times its floor is no mere inexactness of what was named
+_LEFT = 1.5
 #: what a remainder's gain must exceed the placebos' greatest by
 _FACTOR, _MARGIN = 1.3, 3.0
-#: a remainder that is this share of what the effects explain leaves no name standing
-_OVERWHELMING = 0.6
+#: what a free curve may leave of a joint's squared innovations, in terms of what the names leave,
+#: to be preferred: where they leave a remainder, as of measured logs, which neither explains to the
+#: end, and where they leave none
+_CLEARLY_LESS, _LESS_THAN_ALL = 0.95, 0.985
 #: deviations of its prior from which on a parameter counts as strained
 _STRAINED = 4.0
 #: lags of the whiteness plot [s]
@@ -45,15 +47,15 @@ def compose(analysis, errors, residuals, shapes, chance, detect, bias, spread, m
     s = analysis.selected
     names = _named(analysis, spread)
     volts = errors["fit"].voltage_rms
-    remainder = _remainder(s, shapes, chance, np.asarray(volts.augmented) / volts.floor)
-    if remainder is None:
+    unnamed = remainder(s, shapes, chance, np.asarray(volts.augmented) / volts.floor)
+    if unnamed is None:
         verdict = NAMED if names else NOTHING_MISSING
     else:
         verdict = NAMED_WITH_REMAINDER if names else UNNAMED
     curve = None
-    if remainder is not None:
+    if unnamed is not None:
         ranking = tuple((_axis_name(c), float(c.scored.gain)) for c in shapes[:8])
-        curve = describe(remainder, ranking)
+        curve = describe(unnamed, ranking)
     m = analysis.mechanism
     ties = [(Hypothesis(e.name, e.joint), other) for e in names for other in e.tied_with]
     found = {(e.name, e.joint) for e in names}
@@ -117,19 +119,21 @@ def _because(named: str, trial, best) -> str:
     return f"{lower}: {text}" if text else lower
 
 
-def doubtful(s, shapes, chance, left) -> bool:
-    """Whether what is left says that no name may stand; left (J,): residual in terms of its floor.
+def no_name_stands(curve: float, names: float, price: float, remains: bool) -> bool:
+    """Whether a free curve about the model without names is to be preferred to the names.
+
+    curve, names : sums of squares of the white innovations of its joint that they leave; price
+    [nat] of the curve's heights; remains : whether something remains after the names.
     """
-    remainder = _remainder(s, shapes, chance, left) if s.keys else None
-    if remainder is None:
-        return False
-    explained = sum(s.gain_of(key) for key in s.keys)
-    return bool(remainder.scored.gain > _OVERWHELMING * explained
-                or left[remainder.scored.joint - 1] > _MOST_LEFT)
+    if remains:
+        return curve < _CLEARLY_LESS * names
+    # names that explain all leave but noise, of which no curve leaves less
+    return curve < _LESS_THAN_ALL * names and 0.5 * (names - curve) - price > LEAST_GAIN
 
 
-def _remainder(s, shapes, chance, left):
-    """The best free curve, where it is more than chance and more than inexactness."""
+def remainder(s, shapes, chance, left):
+    """The best free curve about what was chosen, where it is more than chance and more than
+    inexactness; else None."""
     if not shapes:
         return None
     first = max((s.gain_of(key) for key in s.keys), default=0.0)

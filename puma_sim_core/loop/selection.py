@@ -152,6 +152,12 @@ class Selection:
                                selected.weighting, selected.prices)
         return replace(found, retracted=(*selected.retracted, key))
 
+    def bare(self, selected: Selected) -> Selected:
+        """The selection without any effect."""
+        found = self._finished(selected.retuned, selected.retuned.point, (), selected.stages,
+                               selected.weighting, selected.prices)
+        return replace(found, retracted=(*selected.retracted, *selected.keys))
+
     def _finished(self, retuned, point, keys, stages, weighting, prices) -> Selected:
         """The final fit of what was chosen, with derivatives about itself."""
         fit = PredictionFit(self.predictor, weighting)

@@ -3,7 +3,8 @@
 """The shape of what no effect of the library explains (step 10).
 
 For each joint a bank of free curves: piecewise linear over one axis at a time, whole and with the
-sign of the velocity, hystereses, and single lines of the spectrum in time and in motor angle. Each
+sign of the velocity, hystereses, a step in time, and single lines of the spectrum in time and in
+motor angle. Each
 is a hypothesis like any other, with a Gaussian prior on the heights of its knots; the one with the
 greatest gain of evidence is the axis, and its heights with their band are the curve.
 """
@@ -31,6 +32,7 @@ _PLAYS = np.array([0.004, 0.01, 0.025, 0.06, 0.15])
 #: ways of an axis to act
 _SIGNED, _HYSTERESIS = "with the sign of the velocity", "with hysteresis"
 _FINE = "in fine steps"
+_STEP = "in one step"
 _WITH_TORQUE = "in proportion to the torque"
 #: past over which an acceleration is averaged [s]
 _PAST = 0.025
@@ -41,6 +43,9 @@ _HEIGHT = 0.5
 _CLEAR, _RIVALS, _KNOT_PRICE = 10.0, 6, 1.0
 #: share of the best gain from which on a simpler curve goes before it
 _NEARLY = 0.97
+#: places of a step in time: between the first ones at most so long [s] and at least so many, and
+#: between those about the best of these
+_STEP_APART, _STEPS, _STEPS_ABOUT = 0.25, 40, 20
 #: lines per 1/(length of record), and the highest line in terms of the second cutoff
 _LINES, _TOP_LINE = 2.0, 0.95
 #: least frequency of a line, in periods over the record
@@ -166,8 +171,8 @@ class Curve:
         return out * causal.signals.enable
 
 
-def curves(causal, position_unit: str = "rad") -> list[Curve]:
-    """All curves of all joints, best first."""
+def curves(causal, position_unit: str = "rad", joints=None) -> list[Curve]:
+    """All curves of some joints (1-based; None: of all), best first."""
     signals, found = causal.signals, []
 
     def add(name, joint, pairs, axis, way=""):
@@ -176,6 +181,8 @@ def curves(causal, position_unit: str = "rad") -> list[Curve]:
             found.append(Curve(scored, axis, pairs, way))
 
     for j in range(signals.joints):
+        if joints is not None and j + 1 not in joints:
+            continue
         height = _HEIGHT * float(signals.volts_per_torque[j] * signals.torque_scale[j])
         for axis in axes(signals, j, position_unit):
             columns = axis.columns if not axis.way == _HYSTERESIS else (
@@ -185,6 +192,7 @@ def curves(causal, position_unit: str = "rad") -> list[Curve]:
                                   np.zeros(p), np.full(p, height), _free, {"height": height})
             add(axis.name, j + 1, [(candidate, causal.columns(candidate))], axis, axis.way)
         add("line", j + 1, _time_lines(causal, j, height), None)
+        add("time", j + 1, *_step(causal, j, height), _STEP)
         if signals.gear[j] > 1.0:
             torque = _past_mean(signals, signals.torque[:, j])
             size = float(np.sqrt(np.mean(torque ** 2))) or 1.0
@@ -242,6 +250,29 @@ def _free(coefficients):
 
 def _pair(height, grid) -> Candidate:
     return Candidate((), VOLTAGE_COLUMN, np.zeros(2), np.full(2, height), _free, grid)
+
+
+def _step(causal, j, height) -> tuple[list, Axis]:
+    """(candidate, its columns) of one step in time at each of several places, and their axis."""
+    time = causal.signals.time
+    first, last = float(time.min()), float(time.max())
+
+    def at(places):
+        found = []
+        for place in places:
+            column = (time > place).astype(float)
+            candidate = Candidate(({j: column},), VOLTAGE_COLUMN, np.zeros(1), np.array([height]),
+                                  _free, {"height": height, "time": float(place)})
+            found.append((candidate, causal.columns(candidate)))
+        return found
+
+    apart = min(_STEP_APART, (last - first) / _STEPS)
+    coarse = at(np.arange(first + apart, last - 0.5 * apart, apart))
+    best = causal.score_columns("time", j + 1, coarse).entry.candidate.grid["time"]
+    pairs = coarse + at(np.linspace(best - apart, best + apart, _STEPS_ABOUT + 1)[1:-1])
+    best = causal.score_columns("time", j + 1, pairs).entry.candidate
+    knots = np.array([first, best.grid["time"], best.grid["time"], last])
+    return pairs, Axis("time", "s", time, knots, best.columns[0][j][:, None], _STEP)
 
 
 def _time_lines(causal, j, height) -> _Lines:
@@ -305,6 +336,8 @@ def describe(best: Curve, ranking) -> Shape:
         return Shape(axis.name, axis.unit, scored.joint, change, curve, curve - band, curve + band,
                      None, ranking, axis.way)
     if axis is not None:
+        if axis.way == _STEP:
+            heights, spread = (np.array([0.0, 0.0, x[0], x[0]]) for x in (heights, spread))
         return Shape(axis.name, axis.unit, scored.joint, axis.knots, heights, heights - spread,
                      heights + spread, None, ranking, axis.way)
     phase = np.linspace(0.0, 2.0 * np.pi, 33)

@@ -48,8 +48,10 @@ _IMPOSSIBLE = "it would need an impossible value"
 _LESS_WHEN_STIFFER = {("joint_elasticity", "stiffness"), ("presliding_friction", "stiffness")}
 #: parameters that say where or how fast an effect acts, not how much
 _NO_SIZE = frozenset({"velocity", "stiffness", "time_constant", "width", "period", "order"})
-#: how far outside its plausible sizes a parameter may come out
-_BEYOND = 4.0
+#: parameters that no machine has less of, whatever the size of the effect
+_LEAST = frozenset({"velocity", "stiffness", "time_constant"})
+#: how far outside its plausible sizes a parameter may come out, above and below
+_BEYOND, _BELOW = 2.0, 4.0
 
 
 @dataclass(frozen=True)
@@ -260,7 +262,7 @@ class Trials:
                 continue
             if value > _BEYOND * high and (effect.kind.name, name) not in _LESS_WHEN_STIFFER:
                 return f"{_IMPOSSIBLE}: {name} {value:.3g}, more than any machine has ({high:.3g})"
-            if name in ("velocity", "stiffness") and value < low / _BEYOND:
+            if name in _LEAST and value < low / _BELOW:
                 return f"{_IMPOSSIBLE}: {name} {value:.3g}, less than any machine has ({low:.3g})"
         return self._too_small(effect)
 
@@ -272,7 +274,7 @@ class Trials:
             if name in _NO_SIZE:
                 continue
             value = abs(effect.values.get(name, np.inf))
-            if value >= low / _BEYOND:
+            if value >= low / _BELOW:
                 return None
             found = f"{_IMPOSSIBLE}: {name} {value:.3g}, less than any machine has ({low:.3g})"
         return found
