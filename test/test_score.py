@@ -240,6 +240,7 @@ def test_a_batch_goes_on_where_it_stopped(tmp_path, monkeypatch, capsys):
 
     monkeypatch.setattr(run.jobs, "work", work)
     monkeypatch.setattr(run.jobs, "warm_up", lambda: None)
+    monkeypatch.setattr(run.jobs, "seconds_alone", lambda recipe, folder: 7.0)
     given = ["--only", "nothing=4", "--processes", "1", "--out", str(tmp_path)]
     with pytest.raises(KeyboardInterrupt):
         run.main(given)
@@ -247,7 +248,8 @@ def test_a_batch_goes_on_where_it_stopped(tmp_path, monkeypatch, capsys):
         file.write('{"code": "cut sho')
     assert run.main(given) == 0
     assert len(made) == 5 and len(set(made)) == 4
-    assert "2 of them explained before" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "2 of them explained before" in said and "7.0, 7.0, 7.0" in said
     summary = json.loads((tmp_path / "score.json").read_text())
     assert len(summary["rows"]) == 4 and not summary["development"]
     monkeypatch.setattr(run.jobs, "fingerprint", lambda: "other code")

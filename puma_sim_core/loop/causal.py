@@ -14,8 +14,8 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import cho_factor, cho_solve
-from scipy.signal import fftconvolve
 
 from ..effects.screening import TORQUE_COLUMN, Candidate, Signals
 from .evidence import Entry, log_gain, scored_of
@@ -40,6 +40,7 @@ class CausalScreen:
         self.problem = problem
         self.block = max(1, int(_BLOCK / self.predictor.step))
         self.errors = errors
+        self._spectra: dict = {}
         rows = fit.rows
         self.J = errors.shape[1]
         self.lengths = self.predictor.lengths
@@ -126,7 +127,7 @@ class CausalScreen:
         """Joint -> (N, p) white innovations that unit coefficients would make."""
         p = len(candidate.mean)
         joints = sorted({j for column in candidate.columns for j in column})
-        s, w = self.signals, self.fit.weighting
+        s = self.signals
         out = {}
         for j in joints:
             full = np.zeros((len(s.time), p))
@@ -138,14 +139,27 @@ class CausalScreen:
                 if s.lag[j] > 0.0:
                     full = full + s.lag[j] * np.gradient(full, s.step, axis=0)
             full *= s.enable[:, j:j + 1]
-            response = np.convolve(self.predictor.responses[j], w.filters[j]) / w.scale[j]
             start = 0
             for n in self.lengths:
                 rows = slice(start, start + n)
-                full[rows] = fftconvolve(full[rows], response[:, None], axes=0)[:n]
+                size, spectrum = self._spectrum(j, n)
+                full[rows] = irfft(rfft(full[rows], size, axis=0) * spectrum, size, axis=0)[:n]
                 start += n
             out[j] = full
         return out
+
+    def _response(self, joint: int) -> np.ndarray:
+        """White innovations of a joint after a volt in one row."""
+        w = self.fit.weighting
+        return np.convolve(self.predictor.responses[joint], w.filters[joint]) / w.scale[joint]
+
+    def _spectrum(self, joint: int, rows: int) -> tuple[int, np.ndarray]:
+        """Size of the transforms that convolve so many rows, and the response's one (f, 1)."""
+        if (joint, rows) not in self._spectra:
+            response = self._response(joint)
+            size = next_fast_len(rows + len(response) - 1, real=True)
+            self._spectra[joint, rows] = size, rfft(response, size)[:, None]
+        return self._spectra[joint, rows]
 
     def score(self, name: str, joint: int | None, candidates, shifts=None):
         """`Scored` of one hypothesis, None without candidates; with shifts (k,), also the gains
@@ -213,8 +227,8 @@ class CausalScreen:
 
     def response(self, joint: int, frequency: np.ndarray) -> np.ndarray:
         """Complex white innovation of a joint per volt at frequencies [Hz], blocks averaged."""
-        h, w = self.predictor.step, self.fit.weighting
-        taps = np.convolve(self.predictor.responses[joint], w.filters[joint]) / w.scale[joint]
+        h = self.predictor.step
+        taps = self._response(joint)
         turn = np.exp(-2j * np.pi * np.outer(frequency, np.arange(len(taps))) * h)
         x = np.pi * np.asarray(frequency) * h * self.block
         return turn @ taps * np.sinc(x / np.pi) * np.sqrt(self.block)

@@ -152,10 +152,10 @@ class Analysis:
         """Steps 7 to 11."""
         m, p = self.mechanism, self.problem
         self.progress("what is left", 0.87)
-        shapes, chance, _ = self._shapes(self.selected.final)
+        shapes, chance = self._shapes(self.selected.final)
         if self.selected.keys and self._curve_is_better(shapes, chance):
             self.selected = self.selection.bare(self.selected)
-            shapes, chance, _ = self._shapes(self.selected.final)
+            shapes, chance = self._shapes(self.selected.final)
         s = self.selected
         final = s.final
         fit = PredictionFit(self.predictor, s.weighting)
@@ -201,42 +201,44 @@ class Analysis:
         left after the names."""
         acting = {joint for _, joint in self.selected.keys}
         joints = None if None in acting else acting
-        curves, _, causal = self._shapes(self.selection.bare(self.selected).final, joints)
-        if not curves:
+        bare = self.selection.bare(self.selected).final
+        plain = self.predictor.white_weighting(self._raw(bare.point))
+        causal = self._causal(bare.point, bare.names, plain)
+        found = shape.curves(causal, self.mechanism.position_unit, joints)
+        if not found:
             return False
-        best = curves[0].scored
+        point, volts, curve = self._relaxed(causal, found, bare, joints)
+        if volts is not None:
+            causal = self._causal(point, bare.names, plain, volts)
+        noise = shape.noise(causal, [shape.again(causal, curve)])
+        causal = self._causal(point, bare.names, noise, volts)
+        best = shape.again(causal, curve).scored
         rows = self.predictor.fit_rows[:, best.joint - 1]
-        curve = causal.left(best.entry.candidate, best.coefficients)[rows, best.joint - 1]
-        names = causal.fit.weighting(self._raw(self.selected.final.point))[rows, best.joint - 1]
+        left = causal.left(best.entry.candidate, best.coefficients)[rows, best.joint - 1]
+        names = noise(self._raw(self.selected.final.point))[rows, best.joint - 1]
         remains = outcome.remainder(self.selected, shapes, chance, self._left()) is not None
-        return outcome.no_name_stands(float(curve @ curve), float(names @ names), best.price,
+        return outcome.no_name_stands(float(left @ left), float(names @ names), best.price,
                                       remains)
 
-    def _shapes(self, final, joints=None) -> tuple[list, float, CausalScreen]:
-        """Free curves of some joints (1-based; None: of all) against what is left, in the noise
-        that the best of them leaves; the greatest gain that chance gives any of them; the screen
-        that they are scored in (step 10)."""
-        predictor, unit = self.predictor, self.mechanism.position_unit
+    def _shapes(self, final) -> tuple[list, float]:
+        """Free curves against what is left, in the noise that the best of them leaves; the greatest
+        gain that chance gives any of them (step 10)."""
+        unit = self.mechanism.position_unit
         # the first noise is the least that the innovations allow: one fitted to all that is left
         # would take what is missing for noise
-        plain = predictor.white_weighting(self._raw(final.point))
-        point, volts = final.point, None
-        causal = self._causal(point, final.names, plain)
-        found = shape.curves(causal, unit, joints)
-        stretched = self._stretched(point)
-        if found and (found[0].scored.gain > _MUCH or stretched):
-            about = [(causal, found)]
-            if stretched:
-                start = self._causal(Point(self.mechanism.start, point.effects), final.names, plain)
-                about.append((start, shape.curves(start, unit, joints)))
-            point, volts = self._relaxed(about, final)
+        plain = self.predictor.white_weighting(self._raw(final.point))
+        causal = self._causal(final.point, final.names, plain)
+        found = shape.curves(causal, unit)
+        point, volts, _ = self._relaxed(causal, found, final)
+        if volts is not None:
             causal = self._causal(point, final.names, plain, volts)
-            found = shape.curves(causal, unit, joints)
-        causal = self._causal(point, final.names, shape.noise(causal, found), volts)
-        found = shape.simplest_first(shape.curves(causal, unit, joints))
+            found = shape.curves(causal, unit)
+        noise = shape.noise(causal, found)
+        causal = self._causal(point, final.names, noise, volts)
+        found = shape.simplest_first(shape.curves(causal, unit))
         rng = np.random.default_rng(self.seed + 1)
         shifts = np.sort(rng.uniform(0.06, 0.94, _SHIFTS))
-        return found, shape.chance(causal, found, shifts), causal
+        return found, shape.chance(causal, found, shifts)
 
     def _raw(self, point) -> np.ndarray:
         return self.predictor.errors(self.mechanism.plant(point.theta, point.effects))
@@ -259,28 +261,33 @@ class Analysis:
         m = self.mechanism
         return bool(np.any(np.abs(point.theta - m.start) > _STRETCHED * m.deviations))
 
-    def _relaxed(self, about, final) -> tuple[Point, np.ndarray | None]:
+    def _relaxed(self, causal, found, final, joints=None):
         """The parameters as they are when the curve that explains the log best takes its part
-        (N, J) of the voltage, and that part. What is missing may have stretched them so far that no
-        curve fits about them, and it shows at the joints that the inertia couples to its own: so
-        the best curve of each joint is tried. about : (screen, its curves) about several points."""
-        starts = (final.point, Point(self.mechanism.start, final.point.effects))
+        (N, J) of the voltage, that part, None where it is too little to matter, and the curve. What
+        is missing may have stretched parameters so far that no curve fits about them, and it shows
+        at the joints that the inertia couples to its own: so the best curve of each of the joints
+        (1-based; None: of all) is tried. causal, found : screen about the model, and its curves."""
+        stretched = self._stretched(final.point)
+        if not stretched and (not found or found[0].scored.gain < _MUCH):
+            return final.point, None, next(iter(found), None)
+        about = [(causal, found)]
+        if stretched:
+            nominal = Point(self.mechanism.start, final.point.effects)
+            causal = self._causal(nominal, final.names, causal.fit.weighting)
+            about.append((causal, shape.curves(causal, self.mechanism.position_unit, joints)))
         tried = []
         for causal, found in about:
-            best: dict = {}
-            for curve in found:
-                best.setdefault(curve.scored.joint, curve)
-            for curve in best.values():
-                if curve.scored.gain < _RIVAL * found[0].scored.gain:
-                    continue
+            # where parameters stay near, so do derivatives by them
+            known = None if stretched else causal.jacobian[causal.fit.rows]
+            free, as_known = (final.names, ()) if stretched else ((), final.names)
+            for curve in shape.best_of_joints(found, _RIVAL):
                 volts = curve.volts(causal)
                 fit = PredictionFit(self.predictor.less(volts), causal.fit.weighting)
-                for start in starts:
-                    fitted = fit.run(start, final.names, rounds=4)
-                    if fitted is not None:
-                        tried.append((fitted.objective + curve.scored.price, len(tried),
-                                      fitted.point, volts))
-        return min(tried)[2:] if tried else (final.point, None)
+                fitted = fit.run(causal.point, free, known=known, known_free=as_known)
+                if fitted is not None:
+                    tried.append((fitted.objective + curve.scored.price, len(tried), fitted.point,
+                                  volts, curve))
+        return min(tried)[2:] if tried else (final.point, None, next(iter(found), None))
 
     def _volts(self, plant) -> np.ndarray:
         """(N, J) voltages [V] that a plant lacks along the logs, at the rows of the observer."""

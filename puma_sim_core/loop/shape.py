@@ -11,7 +11,7 @@ greatest gain of evidence is the axis, and its heights with their band are the c
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -201,6 +201,26 @@ def curves(causal, position_unit: str = "rad", joints=None) -> list[Curve]:
             add("motor_angle", j + 1, _angle_lines(causal, j, height, torque / size), None,
                 _WITH_TORQUE)
     return sorted(found, key=lambda curve: -curve.scored.gain)
+
+
+def again(causal, curve: Curve) -> Curve:
+    """A curve as scored in another screen."""
+    candidate, joint = curve.scored.entry.candidate, curve.scored.joint
+    if candidate.columns:
+        pairs = [(candidate, causal.columns(candidate))]
+    else:
+        line = candidate.grid["frequency"]
+        pairs = [pair for pair in _time_lines(causal, joint - 1, float(candidate.deviation[0]))
+                 if pair[0].grid["frequency"] == line]
+    return replace(curve, scored=causal.score_columns(curve.scored.name, joint, pairs), pairs=pairs)
+
+
+def best_of_joints(found: list[Curve], share: float) -> list[Curve]:
+    """The best curve of each joint that gains such a share of the best gain at least."""
+    best: dict[int, Curve] = {}
+    for curve in found:
+        best.setdefault(curve.scored.joint, curve)
+    return [c for c in best.values() if c.scored.gain >= share * found[0].scored.gain]
 
 
 def simplest_first(found: list[Curve]) -> list[Curve]:
