@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""`--share n/m`: of the tests that are marked long, every m-th from the n-th on.
+"""`--share n/m`: of the files with tests that are marked long, every m-th from the n-th on.
 
-Two interpreters that run side by side share them out: their numbers are the same on any.
+Two interpreters that run side by side share these tests out: their numbers are the same on any.
+Those of a file stay together, since they may share what it took long to make.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import pytest
 
 def pytest_addoption(parser):
     parser.addoption("--share", default=(1, 1), metavar="N/M", type=_share,
-                     help="of the tests marked long, every M-th from the N-th on")
+                     help="of the files with tests marked long, those of every M-th from the N-th on")
 
 
 def _share(text: str) -> tuple[int, int]:
@@ -28,7 +29,8 @@ def _share(text: str) -> tuple[int, int]:
 def pytest_collection_modifyitems(config, items):
     number, of = config.getoption("--share")
     long = [item for item in items if item.get_closest_marker("long")]
-    others = {id(item) for k, item in enumerate(long) if k % of != number - 1}
+    files = sorted({item.path for item in long})[number - 1::of]
+    others = {id(item) for item in long if item.path not in files}
     left = [item for item in items if id(item) in others]
     if left:
         config.hook.pytest_deselected(items=left)

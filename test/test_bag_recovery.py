@@ -20,6 +20,7 @@ from mcap.opcode import Opcode
 from puma_sim_core.bag import read_bag, recover
 from puma_sim_core.errors import BagError
 
+pytestmark = pytest.mark.long
 SECOND = 1_000_000_000
 
 

@@ -23,6 +23,7 @@ from puma_sim_core.lanes import LANES, polynomial_sin_cos
 from puma_sim_core.plant import Plant
 from puma_sim_core.simulator import Simulator
 
+pytestmark = pytest.mark.long
 TIME = np.arange(0.0, 0.5, 0.028)
 
 

@@ -14,6 +14,7 @@ import pickle
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.long
 pytest.importorskip("numba")
 mujoco = pytest.importorskip("mujoco")
 

@@ -24,6 +24,7 @@ from puma_sim_core.plant import dump_model
 from puma_sim_core.recording import read_csv
 from puma_sim_core.simulator import GREATEST_STEP
 
+pytestmark = pytest.mark.long
 INITIAL = ("--initial", triple(START[0]), "--initial-velocity", triple(START[1]),
            "--initial-current", triple(START[2]))
 EFFECTS = tuple(word for text in VISCOUS for word in ("--effect", text))

@@ -20,6 +20,7 @@ from puma_sim_core.plant import Plant
 from puma_sim_core.rigid_body import gravity_torque
 from puma_sim_core.simulator import Constraint, Simulator
 
+pytestmark = pytest.mark.long
 # rows of an hour; the interpreted kernel would take as long
 HOUR = 3600.0 if BACKEND == "numba" else 2.0
 DRIVE = np.array([m.torque_constant * m.gear_ratio / m.resistance for m in arm_of("bejczy").motors])

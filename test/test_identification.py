@@ -20,6 +20,7 @@ from puma_sim_core.control.transfer_function import (METHODS, identify_transfer_
                                                      implied_gains, poles)
 from puma_sim_core.errors import ParameterError, RecordingError
 
+pytestmark = pytest.mark.long
 GAINS = (137.0, 0.315, 0.032)
 EXACT = {"count": 0.0, "volt_step": 0.0}
 

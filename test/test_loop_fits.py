@@ -13,6 +13,7 @@ from puma_sim_core.effects import Effect, parse_effect
 from puma_sim_core.loop.prediction import _FARTHEST, Point, PredictionFit, _bounded_step
 from puma_sim_core.mechanisms import load_mechanism
 
+pytestmark = pytest.mark.long
 NOISE = 0.02
 PENDULUM = load_mechanism("pendulum")
 #: how far the undisturbed motion goes [rad]

@@ -14,6 +14,7 @@ from puma_sim_core.loop.prediction import Point, PredictionFit
 from puma_sim_core.loop.problem import Problem
 from puma_sim_core.mechanisms import load_mechanism
 
+pytestmark = pytest.mark.long
 NOISE = 0.05
 
 

@@ -20,6 +20,7 @@ from puma_sim_core.loop.gate import check
 from puma_sim_core.loop.ingest import Log, parse_columns, read_log
 from puma_sim_core.mechanisms import load_mechanism
 
+pytestmark = pytest.mark.long
 PUMA, PENDULUM, SLIDE = (load_mechanism(name) for name in ("puma560", "pendulum", "slide"))
 #: dry friction of joints 1 to 3, about the greatest that was measured
 FRICTION = tuple(parse_effect(f"coulomb_friction:joint={j},torque={t}")

@@ -17,6 +17,7 @@ from puma_sim_core.loop.weighting import Weighting
 from puma_sim_core.mechanisms import load_mechanism
 from puma_sim_core.simulator import Simulator
 
+pytestmark = pytest.mark.long
 STEP = 1e-3
 VOLTS, POSITION = 0.05, 3e-5
 

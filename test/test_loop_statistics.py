@@ -17,6 +17,7 @@ from puma_sim_core.loop.sampling import sample
 from puma_sim_core.mechanisms import load_mechanism
 from puma_sim_core.simulator import Simulator
 
+pytestmark = pytest.mark.long
 STEP = 1e-3
 
 

@@ -18,6 +18,8 @@ from puma_sim_core.loop.validate import FAR_OFF
 from puma_sim_core.mechanisms import load_mechanism
 from puma_sim_core.simulator import Simulator
 
+pytestmark = pytest.mark.long
+
 
 @pytest.mark.parametrize("name", NAMES)
 def test_windows_of_the_true_plant_stay_on_the_log(name):

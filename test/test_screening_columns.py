@@ -19,6 +19,8 @@ from puma_sim_core.effects.columns import SCREENINGS
 from puma_sim_core.effects.columns.outside import impulse
 from puma_sim_core.effects.screening import TORQUE_COLUMN
 
+pytestmark = pytest.mark.long
+
 
 def at(name, joint, grid):
     """Joint as the screening counts it, and the choice of the candidate nearest to `grid`."""

@@ -14,6 +14,7 @@ from puma_sim_core.control.servo import ServoConfig
 from puma_sim_core.rigid_body import gravity_torque
 from puma_sim_core.simulator import Constraint, Simulator
 
+pytestmark = pytest.mark.long
 #: friction of each joint: level for positive and negative motion, Stribeck excess, its velocity
 FRICTION = ((12.0, 16.0, 5.0, 0.05), (13.6, 7.65, 6.0, 0.02), (5.0, 4.0, 2.0, 0.1))
 EFFECTS = [text for j, (fp, fn, fs, vs) in enumerate(FRICTION, start=1) for text in (

@@ -19,6 +19,7 @@ from puma_sim_core.thesis.misprints import chapter_6 as misprints_6
 from puma_sim_core.thesis.misprints.reference import nominal
 from puma_sim_core.thesis.registry import Context
 
+pytestmark = pytest.mark.long
 UPRIGHT = np.array([0.0, -math.pi / 2, math.pi / 2])
 RUNS = {"5.2": chapter_5_6.third_order, "6.1": chapter_6_1.constraints, "6.2": chapter_6_2.run,
         "6.2.1": chapter_6_1.locks_and_run_time, "6.3": chapter_5_6.inversion,

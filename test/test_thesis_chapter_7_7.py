@@ -18,8 +18,9 @@ from puma_sim_core.thesis import chapter_7_7_4 as search
 from puma_sim_core.thesis.registry import Context, find
 from puma_sim_core.thesis.tuning import CASES, UPRIGHT, path, printed_pid, run
 
-pytestmark = pytest.mark.skipif(BACKEND != "numba",
-                                reason="minutes of simulated time: compiled kernel only")
+pytestmark = [pytest.mark.long,
+              pytest.mark.skipif(BACKEND != "numba",
+                                 reason="minutes of simulated time: compiled kernel only")]
 OWN, THESIS = "gains of the corrected model", "thesis's gains"
 
 

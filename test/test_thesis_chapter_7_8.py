@@ -17,6 +17,8 @@ from puma_sim_core.thesis import chapter_7_8 as section
 from puma_sim_core.thesis import controller_records as records
 from puma_sim_core.thesis.registry import Context, experiments
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def maker():

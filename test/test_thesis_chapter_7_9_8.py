@@ -14,6 +14,8 @@ from puma_sim_core.thesis import chapter_7_9, chapter_8
 from puma_sim_core.thesis.json_file import json_text
 from puma_sim_core.thesis.registry import Context, experiments
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def measured():

@@ -22,7 +22,8 @@ from puma_sim_core.thesis.motions import (crossing_time, drive, first_time, one_
                                           open_circuit)
 from puma_sim_core.thesis.registry import Context
 
-pytestmark = pytest.mark.skipif(BACKEND != "numba", reason="whole experiments: compiled only")
+pytestmark = [pytest.mark.long,
+              pytest.mark.skipif(BACKEND != "numba", reason="whole experiments: compiled only")]
 
 EXPERIMENTS = {"7.2": chapter_7_2.run, "7.3": chapter_7_3.run, "7.4.1": chapter_7_4.elbow,
                "7.4.2": chapter_7_4.shoulder, "7.4.3": chapter_7_4.upright,

@@ -22,6 +22,7 @@ from puma_sim_core.rigid_body import gravity_torque, inertia
 from puma_sim_core.session import SessionConfig
 from puma_sim_core.simulator import SERVO_PERIOD
 
+pytestmark = pytest.mark.long
 SYSTEMS = {
     "one elastic joint": ([elastic(2, 2e4, 5.0)], {1: (2e4, 5.0, 0.0)}, {}),
     "three elastic joints": ([elastic(1, 9e3, 3.0), elastic(2, 2e4, 5.0), elastic(3, 3e3, 1.0)],
