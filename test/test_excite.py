@@ -15,7 +15,8 @@ from puma_sim_core.cli import main, parser
 from puma_sim_core.effects import KINDS, parse_effect
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.loop import explain
-from puma_sim_core.loop.design import ENOUGH, design, suspects_of
+from puma_sim_core.loop.design import design, suspects_of
+from puma_sim_core.loop.selection import LEAST_GAIN
 from puma_sim_core.loop.evidence import screen
 from puma_sim_core.loop.excitation import Builder, Limits, voltages
 from puma_sim_core.loop.ingest import Log
@@ -161,7 +162,7 @@ def test_what_is_left_of_an_effect_is_that_of_least_squares():
 @pytest.mark.parametrize("seed", (1, 2, 3))
 def test_it_is_better_than_a_plain_motion(seed):
     found = designed("pendulum", "stribeck_friction,presliding_friction", seed=seed, motions=24)
-    assert found.nats > 3.0 * found.plain and found.nats > ENOUGH
+    assert found.nats > 3.0 * found.plain and found.nats > LEAST_GAIN
 
 
 def test_it_is_better_than_a_plain_motion_on_the_arm(designs):
@@ -173,7 +174,7 @@ def test_a_special_case_is_told_one_way_only(designs):
     assert designs["pendulum"].one_way == "stribeck_friction@1"
     assert "special case" in designs["pendulum"].sentence
     # an offset is no special case of friction, nor the other way round
-    assert designs["slide"].one_way is None and designs["slide"].nats > ENOUGH
+    assert designs["slide"].one_way is None and designs["slide"].nats > LEAST_GAIN
 
 
 def test_exact_ties_are_reported_as_impossible():
@@ -313,7 +314,7 @@ def test_a_tie_is_broken_by_the_excitation_for_it(truth):
     slow = Builder(machine, Limits.of(machine), 8.0).plain()
     slow = slow.shrunk(np.array([0.1]), slow.centre)
     poor = gains(machine, recorded(machine, slow, truth), names)
-    assert min(poor.values()) > ENOUGH and abs(np.diff(list(poor.values()))[0]) < 8.0
+    assert min(poor.values()) > LEAST_GAIN and abs(np.diff(list(poor.values()))[0]) < 8.0
     asked = next_experiment(machine, [tuple(Hypothesis(name, 1) for name in names)], (), "log.csv")
     options = parser().parse_args(shlex.split(asked.command)[1:])
     found = designed(options.plant, options.separate)

@@ -91,9 +91,9 @@ def run(options: argparse.Namespace) -> int:
         _write(options.out, head, found.time, "voltage", found.voltage)
         if options.setpoints is not None:
             _write(options.setpoints, head, found.time, "setpoint", found.setpoint)
-    from ..loop.design import ENOUGH
-    if found.nats < ENOUGH:
-        print(f"warning: {found.nats:.2g} nat are less than a name takes ({ENOUGH:g}); give it "
+    from ..loop.selection import LEAST_GAIN
+    if found.nats < LEAST_GAIN:
+        print(f"warning: {found.nats:.2g} nat are less than a name takes ({LEAST_GAIN:g}); give it "
               "more time, voltage or range", file=sys.stderr)
     print(found.sentence, file=sys.stderr)
     print(_start(found, mechanism), file=sys.stderr)

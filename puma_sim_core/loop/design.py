@@ -22,6 +22,7 @@ from ..errors import ParameterError
 from ..mechanisms import Mechanism
 from ..simulator import SERVO_PERIOD
 from .excitation import Builder, Limits, Motion, voltages
+from .selection import LEAST_GAIN
 from .separation import NOISE, NUMBERS, Distance, Judge, Suspect, plant_with, play
 
 #: motions of a search, and of one whose columns take long
@@ -34,8 +35,6 @@ _MANY_COLUMNS = 40
 _RANDOM, _KEPT = 0.4, 4
 #: motions that a look for exact ties takes; gain [nat] and share that are nothing in all of them
 _LOOKS, _NOTHING, _NO_SHARE = 10, 0.5, 1e-4
-#: gain [nat] that a name takes (see `search.LEAST_GAIN`)
-ENOUGH = 9.0
 #: how wrong parameters may be, viscous friction among them, and the machines that are tried
 _WRONG, _VISCOUS_WRONG, _MACHINES = 0.08, 0.25, 4
 #: step in which machines are simulated where no more is asked than that they stay in their ranges
@@ -205,7 +204,7 @@ def design(mechanism: Mechanism, suspects: tuple[Suspect, ...], *, seconds: floa
         raise ParameterError(
             f"no motion within the limits gives more than {max(nats, 0.0):.2g} nat",
             where="--separate " + ",".join(labels),
-            expected=f"{ENOUGH:g} nat for a name: more time, voltage or range")
+            expected=f"{LEAST_GAIN:g} nat for a name: more time, voltage or range")
     return Design(time, np.round(voltages(mechanism, motion, time, judge.noise), 6),
                   motion.at(time)[0], motion.centre, nats,
                   0.0 if plain is None else max(_score(judge.on_play(plain)), 0.0), labels,
@@ -243,7 +242,7 @@ def _ties(judge: Judge, motions: list[Motion]) -> str | None:
         if not any(look[n].raw > 0.0 for look in looks):
             raise ParameterError(f"no motion shows {label} here", where=where,
                                  expected="an effect that this mechanism can show")
-        if (max(look[n].raw for look in looks) > ENOUGH
+        if (max(look[n].raw for look in looks) > LEAST_GAIN
                 and max(look[n].nats for look in looks) < _NOTHING):
             raise ParameterError(
                 f"{label} is an exact tie with parameters of {judge.mechanism.name}", where=where,

@@ -14,7 +14,7 @@ from .. import __version__
 from ..effects import KINDS
 from ..errors import NonFiniteStateError, RecordingError
 from ..mechanisms import load_mechanism
-from . import feedback, intervals, outcome, shape
+from . import feedback, intervals, outcome
 from .causal import CausalScreen
 from .cross_validation import Folds
 from .detect import detectable
@@ -27,20 +27,13 @@ from .result import DATA_FAULT, Explanation
 from .sampling import sample
 from .search import Search
 from .selection import LEAST_GAIN, Selected, Selection
+from .unnamed import Unnamed
 from .validate import Validation, rms
 from .wrong_zero import wrong_zeros
 
 #: least and greatest noise of a row's voltage that the observer reckons with, in volts of a
 #: middling friction torque
 _LEAST_NOISE, _GREATEST_NOISE = 0.02, 0.5
-#: gain of a curve [nat] above which it may have stretched the parameters
-_MUCH = 150.0
-#: deviations of its prior from which on a parameter counts as stretched
-_STRETCHED = 4.0
-#: share of the best curve's gain from which on another joint's may be the one that is missing
-_RIVAL = 0.2
-#: placebos of the shapes
-_SHIFTS = 24
 
 
 def explain(logs: str | Log | Sequence, *, held_out: Sequence = (), plant: str = "puma560",
@@ -152,10 +145,7 @@ class Analysis:
         """Steps 7 to 11."""
         m, p = self.mechanism, self.problem
         self.progress("what is left", 0.87)
-        shapes, chance = self._shapes(self.selected.final)
-        if self.selected.keys and self._curve_is_better(shapes, chance):
-            self.selected = self.selection.bare(self.selected)
-            shapes, chance = self._shapes(self.selected.final)
+        shapes, chance = self._unnamed()
         s = self.selected
         final = s.final
         fit = PredictionFit(self.predictor, s.weighting)
@@ -182,10 +172,26 @@ class Analysis:
         return outcome.compose(self, errors, residuals, shapes, chance, rows, bias, spread, model,
                                notes, begin, common)
 
+    def _unnamed(self) -> tuple[list, float]:
+        """Free curves against what is left, and what chance gives any of them; names give way to a
+        curve that leaves clearly less than they do (step 10)."""
+        unnamed = Unnamed(self.predictor, self.problem, self.seed)
+        shapes, chance = unnamed.shapes(self.selected.final)
+        if self.selected.keys:
+            bare = self.selection.bare(self.selected)
+            acting = {joint for _, joint in self.selected.keys}
+            remains = outcome.remainder(self.selected, shapes, chance, self._left()) is not None
+            if unnamed.stands(bare.final, self.selected.final,
+                              None if None in acting else acting, remains):
+                self.selected = bare
+                shapes, chance = unnamed.shapes(bare.final)
+        return shapes, chance
+
     def _less(self, point) -> np.ndarray:
         """(J,) noise of the innovations of a model, at most 1, over that which the observer was
         made for: before it was known what is noise and what an effect."""
-        raw = np.where(self.predictor.fit_rows, self._raw(point), np.nan)
+        raw = self.predictor.errors(self.mechanism.plant(point.theta, point.effects))
+        raw = np.where(self.predictor.fit_rows, raw, np.nan)
         return np.minimum(1.0, np.nanstd(raw, axis=0) / np.array(self.predictor.spread))
 
     def _left(self) -> np.ndarray:
@@ -194,100 +200,6 @@ class Analysis:
         volts = self._volts(self.mechanism.plant(point.theta, point.effects))
         floor = self._less(point) * self.predictor.floor_in_volts(cutoff)
         return rms(volts, self.predictor.fit_rows) / floor
-
-    def _curve_is_better(self, shapes, chance) -> bool:
-        """Whether a free curve about the model without names leaves clearly less of its joint's
-        innovations than the names do, in the noise that the curve leaves. shapes, chance: what is
-        left after the names."""
-        acting = {joint for _, joint in self.selected.keys}
-        joints = None if None in acting else acting
-        bare = self.selection.bare(self.selected).final
-        plain = self.predictor.white_weighting(self._raw(bare.point))
-        causal = self._causal(bare.point, bare.names, plain)
-        found = shape.curves(causal, self.mechanism.position_unit, joints)
-        if not found:
-            return False
-        point, volts, curve = self._relaxed(causal, found, bare, joints)
-        if volts is not None:
-            causal = self._causal(point, bare.names, plain, volts)
-        noise = shape.noise(causal, [shape.again(causal, curve)])
-        causal = self._causal(point, bare.names, noise, volts)
-        best = shape.again(causal, curve).scored
-        rows = self.predictor.fit_rows[:, best.joint - 1]
-        left = causal.left(best.entry.candidate, best.coefficients)[rows, best.joint - 1]
-        names = noise(self._raw(self.selected.final.point))[rows, best.joint - 1]
-        remains = outcome.remainder(self.selected, shapes, chance, self._left()) is not None
-        return outcome.no_name_stands(float(left @ left), float(names @ names), best.price,
-                                      remains)
-
-    def _shapes(self, final) -> tuple[list, float]:
-        """Free curves against what is left, in the noise that the best of them leaves; the greatest
-        gain that chance gives any of them (step 10)."""
-        unit = self.mechanism.position_unit
-        # the first noise is the least that the innovations allow: one fitted to all that is left
-        # would take what is missing for noise
-        plain = self.predictor.white_weighting(self._raw(final.point))
-        causal = self._causal(final.point, final.names, plain)
-        found = shape.curves(causal, unit)
-        point, volts, _ = self._relaxed(causal, found, final)
-        if volts is not None:
-            causal = self._causal(point, final.names, plain, volts)
-            found = shape.curves(causal, unit)
-        noise = shape.noise(causal, found)
-        causal = self._causal(point, final.names, noise, volts)
-        found = shape.simplest_first(shape.curves(causal, unit))
-        rng = np.random.default_rng(self.seed + 1)
-        shifts = np.sort(rng.uniform(0.06, 0.94, _SHIFTS))
-        return found, shape.chance(causal, found, shifts)
-
-    def _raw(self, point) -> np.ndarray:
-        return self.predictor.errors(self.mechanism.plant(point.theta, point.effects))
-
-    def _causal(self, point, names, weighting, volts=None) -> CausalScreen:
-        """The screen about a point whose effects have these free parameters. volts (N, J): what a
-        curve takes of the voltage; the plant gets the rest, and the innovations show the curve at
-        its own joint alone."""
-        fit = PredictionFit(self.predictor, weighting)
-        if volts is None:
-            raw = self._raw(point)
-        else:
-            plant = self.mechanism.plant(point.theta, point.effects)
-            raw = self.predictor.less(volts).errors(plant) + self.predictor.shown(volts)
-        return CausalScreen(fit, point, weighting(raw),
-                            fit.white(fit.derivatives(point, names)), self.problem)
-
-    def _stretched(self, point) -> bool:
-        """Whether parameters went farther than their priors allow."""
-        m = self.mechanism
-        return bool(np.any(np.abs(point.theta - m.start) > _STRETCHED * m.deviations))
-
-    def _relaxed(self, causal, found, final, joints=None):
-        """The parameters as they are when the curve that explains the log best takes its part
-        (N, J) of the voltage, that part, None where it is too little to matter, and the curve. What
-        is missing may have stretched parameters so far that no curve fits about them, and it shows
-        at the joints that the inertia couples to its own: so the best curve of each of the joints
-        (1-based; None: of all) is tried. causal, found : screen about the model, and its curves."""
-        stretched = self._stretched(final.point)
-        if not stretched and (not found or found[0].scored.gain < _MUCH):
-            return final.point, None, next(iter(found), None)
-        about = [(causal, found)]
-        if stretched:
-            nominal = Point(self.mechanism.start, final.point.effects)
-            causal = self._causal(nominal, final.names, causal.fit.weighting)
-            about.append((causal, shape.curves(causal, self.mechanism.position_unit, joints)))
-        tried = []
-        for causal, found in about:
-            # where parameters stay near, so do derivatives by them
-            known = None if stretched else causal.jacobian[causal.fit.rows]
-            free, as_known = (final.names, ()) if stretched else ((), final.names)
-            for curve in shape.best_of_joints(found, _RIVAL):
-                volts = curve.volts(causal)
-                fit = PredictionFit(self.predictor.less(volts), causal.fit.weighting)
-                fitted = fit.run(causal.point, free, known=known, known_free=as_known)
-                if fitted is not None:
-                    tried.append((fitted.objective + curve.scored.price, len(tried), fitted.point,
-                                  volts, curve))
-        return min(tried)[2:] if tried else (final.point, None, next(iter(found), None))
 
     def _volts(self, plant) -> np.ndarray:
         """(N, J) voltages [V] that a plant lacks along the logs, at the rows of the observer."""
