@@ -26,7 +26,7 @@ _FACTOR, _MARGIN = 1.3, 3.0
 #: what a free curve may leave of a joint's squared innovations, in terms of what the names leave,
 #: to be preferred: where they leave a remainder, as of measured logs, which neither explains to the
 #: end, and where they leave none
-_CLEARLY_LESS, _LESS_THAN_ALL = 0.95, 0.985
+_CLEARLY_LESS, _LESS_THAN_ALL = 0.9, 0.985
 #: deviations of its prior from which on a parameter counts as strained
 _STRAINED = 4.0
 #: lags of the whiteness plot [s]
