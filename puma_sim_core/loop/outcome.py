@@ -193,8 +193,8 @@ def _refused(s, stage, t) -> str:
     if t.problem is not None:
         return t.problem
     if t.key in s.retracted:
-        return ("retracted: the error held out is not lower with it, or most of what is missing "
-                "stays")
+        return ("retracted: the error held out is not lower with it, or a free curve leaves "
+                "clearly less")
     if best is not None and best.key not in s.retracted and tied(best, t):
         return "tied"
     if t.gain <= stage.threshold:
