@@ -29,10 +29,18 @@ FAULTS = ("record_001020", "record_001021", "record_001022", "record_001023")
 pytestmark = [pytest.mark.long, pytest.mark.timeout(900)]
 
 
+def path_of(name: str) -> str:
+    return str(RECORDS / f"{name}.csv")
+
+
 @lru_cache(maxsize=None)
+def explanation(name: str):
+    return explain(path_of(name))
+
+
 def explained(name: str) -> dict:
     """What is said of a record, as report.json has it; nothing else is known of it."""
-    return report_mapping(explain(str(RECORDS / f"{name}.csv")))
+    return report_mapping(explanation(name))
 
 
 def answer(name: str) -> dict:
@@ -97,11 +105,9 @@ def test_most_intervals_hold_the_truth():
 
 
 def test_the_same_record_gives_the_same_report_to_the_byte():
-    path = str(RECORDS / f"{SINGLE[0]}.csv")
-
-    def text(explanation):
-        lines = report_text(explanation).splitlines()
+    def text(found):
+        lines = report_text(found).splitlines()
         return [line for line in lines if not line.lstrip().startswith('"seconds"')]
 
-    once, again = text(explain(path)), text(explain(path))
+    once, again = text(explanation(SINGLE[0])), text(explain(path_of(SINGLE[0])))
     assert once == again and len(once) > 50

@@ -23,8 +23,8 @@ from puma_sim_core.loop.wrong_zero import wrong_zeros
 A, B = ("coulomb_friction", 1), ("impulse", 2)
 
 
-def trial(key, gain, held=10.0):
-    return Trial(*key, gain, held, None, 3.0)
+def trial(key, gain, price=3.0, held=10.0):
+    return Trial(*key, gain, held, None, price)
 
 
 def fitted(*names):
@@ -37,8 +37,8 @@ class Chooser:
 
     def without(self, selected, key):
         keys = tuple(k for k in selected.keys if k != key)
-        return Selected(selected.retuned, fitted(*keys), keys, selected.stages, None, {},
-                        (*selected.retracted, key))
+        return Selected(selected.retuned, fitted(*keys), keys, selected.stages, None,
+                        retracted=(*selected.retracted, key))
 
 
 def confirmed(errors, first, second, folds=None):
@@ -108,6 +108,21 @@ def test_a_limit_that_was_met_once_goes_before_a_blow(limit, wanted):
     elsewhere = trial(("current_limit", 1), 99.9)
     found = Selection._parsimonious(chooser, blow, [blow, other, elsewhere])
     assert found.key == (wanted, 2)
+
+
+@pytest.mark.parametrize("name, simpler, price, gain, wanted", [
+    # a further coefficient is paid for in the gain: no more is asked for it
+    ("stribeck_friction", "coulomb_friction", 12.0, 100.5, "stribeck_friction"),
+    ("stribeck_friction", "coulomb_friction", 12.0, 99.5, "coulomb_friction"),
+    # kinds that cost as much as one that they contain must be better all the same
+    ("soft_stop", "joint_spring", 6.0, 102.0, "joint_spring"),
+    ("soft_stop", "joint_spring", 6.0, 103.0, "soft_stop")])
+def test_of_kinds_that_contain_each_other_the_simpler_goes_first(name, simpler, price, gain,
+                                                                 wanted):
+    richer, plain = trial((name, 2), gain, price), trial((simpler, 2), 100.0, 6.0)
+    best = max(richer, plain, key=lambda t: t.gain)
+    found = Selection._parsimonious(SimpleNamespace(library=KINDS), best, [richer, plain])
+    assert found.name == wanted
 
 
 def test_without_rows_held_out_nothing_is_retracted():

@@ -37,12 +37,6 @@ def row(result, start):
     return found[0].ours
 
 
-def test_same_seed_gives_the_same_numbers(results):
-    for number, result in results.items():
-        again = RUNS[number](Context(seed=1))
-        assert again.numbers == result.numbers and again.rows == result.rows, number
-
-
 @pytest.mark.parametrize("number", [number for number in RUNS if number != "6.2"])
 def test_progress_rises_to_one(number):
     seen = []

@@ -133,6 +133,7 @@ class Screening:
     unseen : (parameter, value) pairs from which the kind is tried in the model at a joint that is
         far noisier than the others, though no candidate asks for it: its own knocks may be that
         noise. Without any it is not.
+    prior : (parameter, median, factor of one deviation) of what a log may tell little about.
     plausible : parameter -> (low, high) size on a machine; above `high` "any plausible size" ends.
     fast : its columns are made of accelerations or rates of voltage, which are noise wherever the
         motion does not stand out of it.
@@ -144,5 +145,6 @@ class Screening:
     contains: tuple[str, ...] = ()
     generous: float = 0.0
     unseen: tuple[tuple[str, float], ...] = ()
+    prior: tuple[tuple[str, float, float], ...] = ()
     plausible: tuple[tuple[str, float, float], ...] = ()
     fast: bool = False

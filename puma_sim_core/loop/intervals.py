@@ -15,24 +15,24 @@ import numpy as np
 
 from ..effects import Effect
 from ..errors import ParameterError
+from .parallel import each
 from .prediction import Fitted, Point, PredictionFit
 
 _LONGEST = 0.33
 _NORMAL = 1.959963984540054
 #: blocks that scores are summed over before their lags are looked at [s]
 _BLOCK = 0.02
-#: where a profile is looked at, over the reach of the sandwich
-_SHARES = (0.5, 1.0, 1.5, 2.5, 4.0)
+#: where a profile is looked at, over the reach of the sandwich, which is the least that counts
+_SHARES = (1.0, 1.5, 2.5, 4.0)
 
 
 def deviations(fit: PredictionFit, fitted: Fitted) -> tuple[np.ndarray, np.ndarray]:
     """(c,) standard deviations of the free parameters of the effects, in their units, and (c,) what
     their variance in the sandwich is over that by the normal matrix, 1 at least."""
     J, e = fitted.jacobian, fitted.errors[fit.rows]
-    c = len(fitted.names)
-    p = J.shape[1] - c
-    prior = np.concatenate([np.ones(p), np.full(c, 1e-4)])
-    inverse = np.linalg.inv(J.T @ J + np.diag(prior))
+    p = J.shape[1] - len(fitted.names)
+    _, told = fit.prior(fitted.point, fitted.names)
+    inverse = np.linalg.inv(J.T @ J + np.diag(np.concatenate([np.ones(p), told])))
     # scores, summed over the joints and over short blocks of time
     row = np.nonzero(fit.rows)[0]
     block = row // max(1, int(_BLOCK / fit.predictor.step))
@@ -43,7 +43,7 @@ def deviations(fit: PredictionFit, fitted: Fitted) -> tuple[np.ndarray, np.ndarr
     for lag in range(1, min(lags, len(scores) - 1) + 1):
         product = scores[lag:].T @ scores[:-lag]
         meat += (1.0 - lag / (lags + 1.0)) * (product + product.T)
-    meat += np.diag(np.concatenate([np.ones(p), np.zeros(c)]))
+    meat += np.diag(np.concatenate([np.ones(p), told]))
     normal, sandwich = np.diag(inverse)[p:], np.diag(inverse @ meat @ inverse)[p:]
     wider = np.maximum(sandwich / normal, 1.0)
     return np.sqrt(normal * wider) * np.array(fit.sizes(fitted.point, fitted.names)), wider
@@ -53,20 +53,22 @@ def intervals(fit: PredictionFit, fitted: Fitted) -> dict:
     """(effect number, parameter) -> (value, low, high) with 95 % confidence."""
     if not fitted.names:
         return {}
-    result = {}
-    for k, (spread, wider) in enumerate(zip(*deviations(fit, fitted))):
-        number, name = fitted.names[k]
-        effect = fitted.point.effects[number]
-        spec = next(p for p in effect.kind.parameters if p.name == name)
-        value, blur = effect.values[name], _blur(fit, effect, name)
-        ends = []
-        for sign, bound in ((-1.0, spec.low), (1.0, spec.high)):
-            reach = max(_NORMAL * spread, _profile(fit, fitted, k, sign, spread, wider))
-            end = value + sign * float(np.hypot(reach, _NORMAL * blur))
-            ends.append(max(end, min(bound, value)) if sign < 0.0 else
-                        min(end, max(bound, value)))
-        result[number, name] = (value, *ends)
-    return result
+    known = list(zip(*deviations(fit, fitted)))
+    sides = [(k, sign) for k in range(len(known)) for sign in (-1.0, 1.0)]
+    ends = each(lambda side: _end(fit, fitted, *side, *known[side[0]]), sides)
+    return {(number, name): (fitted.point.effects[number].values[name], *ends[2 * k:2 * k + 2])
+            for k, (number, name) in enumerate(fitted.names)}
+
+
+def _end(fit, fitted, k, sign, spread, wider) -> float:
+    """One end of the interval of a free parameter."""
+    number, name = fitted.names[k]
+    effect = fitted.point.effects[number]
+    spec = next(p for p in effect.kind.parameters if p.name == name)
+    value, blur = effect.values[name], _blur(fit, effect, name)
+    reach = max(_NORMAL * spread, _profile(fit, fitted, k, sign, spread, wider))
+    end = value + sign * float(np.hypot(reach, _NORMAL * blur))
+    return max(end, min(spec.low, value)) if sign < 0.0 else min(end, max(spec.high, value))
 
 
 def _profile(fit, fitted, k, sign, spread, wider) -> float:

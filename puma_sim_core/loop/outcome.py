@@ -85,7 +85,7 @@ def _named(analysis, spread) -> tuple[NamedEffect, ...]:
         stage = next((st for st in s.stages if st.accepted is not None
                       and st.accepted.key == key), None)
         if stage is None:
-            named.append(NamedEffect(key[0], key[1], parameters, 0.0))
+            named.append(NamedEffect(key[0], key[1], parameters, float(s.gain_of(key))))
             continue
         ties, out = [], []
         for t in stage.trials:

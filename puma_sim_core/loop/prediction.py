@@ -23,9 +23,13 @@ from .parallel import each
 from .predictor import Predictor
 from .weighting import Weighting
 
+#: effects that give a joint two masses: a model with one takes some ten times as long to run
+TWO_MASSES = frozenset({"backlash", "joint_elasticity"})
 #: step of a finite difference, as a share of the deviation of a parameter of the mechanism and of
 #: the size of a parameter of an effect
 _DIFFERENCE, _EFFECT_DIFFERENCE = 0.05, 0.01
+#: what is told of a parameter of an effect, per its size, where nothing is
+_LEAST_TOLD = 1e-4
 #: what a parameter of an effect near zero counts as, by its unit
 _TYPICAL = {"rad": 0.02, "s": 1e-3, "V": 0.1, "N.m": 1.0, "1": 0.1, "A": 1.0, "kg": 0.3, "m": 0.1,
             "rad/s": 0.05, "N.m/rad": 5.0, "N.m.s/rad": 1.0, "1/A": 1e-3, "N.m.s2/rad2": 1.0}
@@ -45,6 +49,18 @@ class Point:
 
     theta: np.ndarray
     effects: tuple[Effect, ...]
+
+    @property
+    def heavy(self) -> bool:
+        """Whether a joint of it has two masses."""
+        return any(effect.kind.name in TWO_MASSES for effect in self.effects)
+
+    @property
+    def key(self) -> tuple:
+        """What tells it from any other, to the bit."""
+        return self.theta.tobytes(), tuple(
+            (effect.kind.name, effect.joint, *sorted(effect.values.items()))
+            for effect in self.effects)
 
 
 @dataclass(frozen=True)
@@ -73,20 +89,53 @@ class PredictionFit:
         raw = self._raw(point)
         return None if raw is None else self.weighting(raw)
 
-    def objective(self, errors: np.ndarray, theta: np.ndarray) -> float:
-        """Half the sum of squares, of the rows to fit and of the parameters' prior."""
+    def objective(self, errors: np.ndarray, point: Point) -> float:
+        """Half the sum of squares, of the rows to fit and of the parameters' priors."""
         m = self.mechanism
-        step = (theta - m.start) / m.deviations
-        return 0.5 * float((errors[self.rows] ** 2).sum() + step @ step)
+        step = (point.theta - m.start) / m.deviations
+        far = [self._prior(effect, name)[0] for effect in point.effects for name in effect.values]
+        return 0.5 * float((errors[self.rows] ** 2).sum() + step @ step + np.dot(far, far))
 
-    def derivatives(self, point: Point, pairs) -> np.ndarray:
+    def prior(self, point: Point, pairs) -> tuple[np.ndarray, np.ndarray]:
+        """(c,) slopes of the objective's priors by parameters of effects, per size, and (c,) what
+        they tell of each."""
+        known = np.array([self._prior(point.effects[number], name) for number, name in pairs])
+        far, told = known.reshape(-1, 2).T
+        return far * told, _LEAST_TOLD + told ** 2
+
+    def _prior(self, effect: Effect, name: str) -> tuple[float, float]:
+        """How many deviations the logarithm of a parameter is off, and how many of them are one;
+        zeros where nothing is known of it, as of other mechanisms than the arm."""
+        screening = effect.kind.screening
+        known = screening is not None and self.mechanism.joints == 3
+        for which, median, factor in screening.prior if known else ():
+            if which == name:
+                one = 1.0 / np.log(factor)
+                return one * np.log(max(effect.values[name], 1e-3 * median) / median), one
+        return 0.0, 0.0
+
+    def derivatives(self, point: Point, pairs, near: np.ndarray | None = None) -> np.ndarray:
         """(N, J, p + c) derivatives of the raw innovations by the mechanism's parameters, per
-        deviation, and by parameters of effects, per size (`sizes`)."""
+        deviation, and by parameters of effects, per size (`sizes`). Not to be written to: they are
+        remembered.
+
+        near : those about a model near by; a model of two masses takes its derivatives by the
+        mechanism's parameters over.
+        """
+        if near is not None and point.heavy:
+            return self._derived(point, pairs, near[:, :, :len(point.theta)])
+        return self.predictor.derived((point.key, tuple(pairs)),
+                                      lambda: self._derived(point, pairs))
+
+    def _derived(self, point: Point, pairs, by_parameters=None) -> np.ndarray:
         raw = self._raw(point)
         if raw is None:
             raise ParameterError("a model that cannot be run along the log", where="prediction",
                                  expected="the parameters of a fit")
-        columns = each(lambda k: self._by_parameter(point, raw, k), range(len(point.theta)))
+        if by_parameters is None:
+            columns = each(lambda k: self._by_parameter(point, raw, k), range(len(point.theta)))
+        else:
+            columns = list(np.moveaxis(by_parameters, 2, 0))
         columns += each(lambda pair: self._by_effect(point, raw, *pair), pairs)
         return (np.stack(columns, axis=2) if columns
                 else np.zeros((*raw.shape, 0)))
@@ -134,7 +183,7 @@ class PredictionFit:
         errors = self.errors(point)
         if errors is None:
             return None
-        best = self.objective(errors, point.theta)
+        best = self.objective(errors, point)
         pairs = (*known_free, *free)
         full = None
         for _ in range(rounds):
@@ -147,9 +196,9 @@ class PredictionFit:
             sizes = self.sizes(point, pairs)
             p = len(m.deviations)
             position = (point.theta - m.start) / m.deviations
-            c = len(pairs)
-            normal = full.T @ full + np.diag([1.0] * p + [1e-4] * c)
-            gradient = full.T @ errors[self.rows] + np.concatenate([position, np.zeros(c)])
+            slope, told = self.prior(point, pairs)
+            normal = full.T @ full + np.diag(np.concatenate([np.ones(p), told]))
+            gradient = full.T @ errors[self.rows] + np.concatenate([position, slope])
             step = _bounded_step(normal, gradient, p)
             gained = 0.0
             for share in (1.0, 0.5, 0.25, 0.1):
@@ -157,7 +206,7 @@ class PredictionFit:
                 trial = None if moved is None else self.errors(moved)
                 if trial is None:
                     continue
-                objective = self.objective(trial, moved.theta)
+                objective = self.objective(trial, moved)
                 if objective < best:
                     gained = best - objective
                     point, errors, best = moved, trial, objective

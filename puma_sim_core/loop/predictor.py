@@ -22,6 +22,7 @@ from ..restart import driven_current, local_motion, true_start
 from ..simulator import Simulator
 from ..tracking import Tracked, innovations
 from . import filters
+from .remembered import Remembered
 from .weighting import Weighting
 
 #: time at the start of a log that the observer is given to settle [s]
@@ -38,6 +39,9 @@ _LEAST_VOLTS = 2e-3
 _LEAST_ROW = 2e-3
 #: least noise of a position, as a share of the deviation of its prediction
 _LEAST_SENSED = 0.3
+#: models whose derivatives are kept: each is asked for again with other weightings, by the tidying
+#: of a stage and the start of the next, by the folds, and by the free curves
+_REMEMBERED = 3
 #: poses at which inertia is looked at, and the least of it as a share of that at the start
 _POSES, _LEAST_INERTIA = 64, 0.1
 
@@ -67,6 +71,8 @@ class Predictor:
 
     def __init__(self, logs: Sequence, mechanism, held, volts, noise):
         self.mechanism = mechanism
+        #: derivatives about the models that were looked at last
+        self.derived = Remembered(_REMEMBERED)
         self.stretches = [self._stretch(log, kept) for log, kept in zip(logs, held)]
         step = float(np.median(np.concatenate([np.diff(s.time) for s in self.stretches])))
         self.step = step
@@ -242,6 +248,7 @@ class Predictor:
     def less(self, volts: np.ndarray) -> Predictor:
         """The same logs with voltages (N, J) [V] taken from those that the plant gets."""
         other, start = copy(self), 0
+        other.derived = Remembered(_REMEMBERED)
         other.stretches = []
         for s in self.stretches:
             voltage = s.voltage.copy()

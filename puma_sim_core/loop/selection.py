@@ -19,10 +19,10 @@ from . import colour
 from .causal import CausalScreen
 from .evidence import Scored
 from .parallel import each
-from .prediction import Fitted, Point, PredictionFit
+from .prediction import TWO_MASSES, Fitted, Point, PredictionFit
 from .predictor import Predictor
 from .search import Search
-from .trials import TWO_MASSES, Trial, Trials
+from .trials import Trial, Trials, nearest
 from .weighting import Weighting
 
 #: most effects that are added
@@ -39,13 +39,16 @@ LEAST_SHARE = 0.015
 LEAST_UNTRIED, UNTRIED_SHARE = 25.0, 0.03
 #: hypotheses of a short list, slow and fast, and their least gain in the screening
 _SLOW, _FAST, _LEAST_SCREENED = 8, 4, 2.0
+#: share of the best gain in the screening from which on the kinds that contain one are tried, too
+_FAMILY = 0.3
 #: for how many of the best in the screening, and from which share of the best gain there on, all
 #: derivatives are taken anew where a fit does not keep what was promised
 _AGAIN, _WORTH_MORE = 4, 0.03
 #: a joint is far noisier than the others from so many times the median of their noise on; the
 #: price [nat] of a coefficient of what is tried there unasked
 _NOISY, _UNSEEN_PRICE = 3.0, 4.0
-#: gain [nat] that a kind must be better by than one that it contains, and than one it replaces
+#: gain [nat] that a kind must be better by than one that it contains, the difference of their prices
+#: included, and than one it replaces
 PARSIMONY, SWAP = 2.5, 3.0
 #: most times that derivatives are taken anew, at the end and within a stage
 _REFITS, _STAGE_REFITS = 4, 2
@@ -57,6 +60,8 @@ _FINISHED = 2.0
 _BETTER = 0.97
 #: share of a gain to which fits are exact at best: it counts in a log without noise
 _EXACT = 1e-4
+#: share of its gain from which on a rival is tried in the place of an effect, and how many
+_RIVAL, _RIVALS = 0.5, 3
 #: least share of the best gain of what is named in place of the best
 _GIVING_WAY = 0.4
 
@@ -86,6 +91,8 @@ class Selected:
     stages: list[Stage]
     weighting: Weighting
     prices: dict = field(default_factory=dict)
+    #: gain [nat] over the model without it of each effect that took the place of another
+    swapped: dict = field(default_factory=dict)
     retracted: tuple = ()
 
     def entry(self, key: tuple) -> Trial | None:
@@ -94,9 +101,9 @@ class Selected:
                      if stage.accepted is not None and stage.accepted.key == key), None)
 
     def gain_of(self, key: tuple) -> float:
-        """Gain [nat] of a chosen effect when it entered; 0.0 of one that replaced another."""
+        """Gain [nat] of a chosen effect when it entered."""
         trial = self.entry(key)
-        return 0.0 if trial is None else trial.gain
+        return self.swapped[key] if trial is None else trial.gain
 
 
 class Selection:
@@ -124,6 +131,7 @@ class Selection:
         stages: list[Stage] = []
         retuned = None
         prices: dict = {}
+        swapped: dict = {}
         while len(keys) <= MOST_EFFECTS:
             self.progress("fitting", 0.25 + 0.6 * len(keys) / (MOST_EFFECTS + 1))
             stage = self.stage(point, keys, weighting, stages)
@@ -138,8 +146,8 @@ class Selection:
             prices[stage.accepted.key] = stage.accepted.price
             point = stage.accepted.fitted.point
             weighting = stage.weighting
-            point, keys = self.tidied(point, keys, weighting, stages, prices)
-        return self._finished(retuned, point, keys, stages, weighting, prices)
+            point, keys = self.tidied(point, keys, weighting, stages, prices, swapped)
+        return self._finished(retuned, point, keys, stages, weighting, prices, swapped)
 
     def without(self, selected: Selected, key: tuple) -> Selected:
         """The selection less one effect, fitted again."""
@@ -149,16 +157,16 @@ class Selection:
         point = selected.final.point if keys else selected.retuned.point
         point = Point(point.theta, tuple(point.effects[n] for n in kept) if keys else ())
         found = self._finished(selected.retuned, point, keys, selected.stages,
-                               selected.weighting, selected.prices)
+                               selected.weighting, selected.prices, selected.swapped)
         return replace(found, retracted=(*selected.retracted, key))
 
     def bare(self, selected: Selected) -> Selected:
         """The selection without any effect."""
         found = self._finished(selected.retuned, selected.retuned.point, (), selected.stages,
-                               selected.weighting, selected.prices)
+                               selected.weighting, selected.prices, selected.swapped)
         return replace(found, retracted=(*selected.retracted, *selected.keys))
 
-    def _finished(self, retuned, point, keys, stages, weighting, prices) -> Selected:
+    def _finished(self, retuned, point, keys, stages, weighting, prices, swapped) -> Selected:
         """The final fit of what was chosen, with derivatives about itself."""
         fit = PredictionFit(self.predictor, weighting)
         pairs = self.trials.free(point, keys)
@@ -167,22 +175,43 @@ class Selection:
         if not keys:
             # without any effect the retuned model is the final one
             retuned = final
-        return Selected(retuned, final, keys, stages, weighting, prices)
+        return Selected(retuned, final, keys, stages, weighting, prices, swapped)
 
     def _exact(self, fit, point, pairs, raw=None, gain: float = _FINISHED,
-               times: int = _STAGE_REFITS):
+               times: int = _STAGE_REFITS, near=None):
         """The fit from a model on, with the raw derivatives about it: taken anew until they gain
-        no more than so much [nat]. raw : derivatives to begin with."""
+        no more than so much [nat]. raw : derivatives to begin with; near : about a model near
+        by."""
         if raw is None:
-            raw = fit.derivatives(point, pairs)
+            raw = fit.derivatives(point, pairs, near)
         fitted = fit.run(point, (), known=fit.white(raw), known_free=pairs)
         for _ in range(times):
             before = fitted.objective
-            raw = fit.derivatives(fitted.point, pairs)
+            raw = fit.derivatives(fitted.point, pairs, raw)
             fitted = fit.run(fitted.point, (), known=fit.white(raw), known_free=pairs)
             if before - fitted.objective < gain:
                 break
         return fitted, raw
+
+    def _nested(self, fit, base: Fitted, raw, known_free, short, trials) -> list[Trial]:
+        """Trials with those that fit worse than a kind that they contain fitted again, from the
+        parameters of that one on and with derivatives about it: they went astray."""
+        fitted = {t.key: t.fitted for t in trials if t.fitted is not None}
+
+        def again(scored: Scored, trial: Trial) -> Trial:
+            inner = [fitted[name, scored.joint]
+                     for name in self.library[scored.name].screening.contains
+                     if (name, scored.joint) in fitted]
+            simpler = min(inner, key=lambda f: f.objective, default=None)
+            if trial.fitted is None or simpler is None \
+                    or trial.fitted.objective <= simpler.objective:
+                return trial
+            start = Point(simpler.point.theta, trial.fitted.point.effects)
+            known = fit.white(fit.derivatives(simpler.point, known_free, nearest(base, raw)))
+            found = self.trials.run(fit, base, known, known_free, scored, start)
+            return max(trial, found, key=lambda t: t.gain)
+
+        return each(lambda pair: again(*pair), list(zip(short, trials)))
 
     def _rebased(self, fit, base: Fitted, raw, known_free, trials):
         """Base, its raw derivatives and trials, over the base that the trials' parameters lead to:
@@ -193,10 +222,10 @@ class Selection:
                 point = Point(t.fitted.point.theta, t.fitted.point.effects[:-1])
                 errors = fit.errors(point)
                 if errors is not None:
-                    found.append((fit.objective(errors, point.theta), len(found), point))
+                    found.append((fit.objective(errors, point), len(found), point))
         if not found or min(found)[0] >= base.objective:
             return base, raw, trials
-        anew, raw = self._exact(fit, min(found)[2], known_free)
+        anew, raw = self._exact(fit, min(found)[2], known_free, near=raw)
         less = base.objective - anew.objective
         return anew, raw, [t if t.fitted is None else
                            replace(t, gain=t.gain - less,
@@ -215,7 +244,7 @@ class Selection:
         slow = self._slow(keys, base)
         fast = self._fast(causal, keys)
         # a model of two masses a joint takes some ten times as long
-        heavy = any(name in TWO_MASSES for name, _ in keys)
+        heavy = base.point.heavy
         share = 2 if heavy else 1
         short = self._completed(_joined(slow[:_SLOW // share], fast[:_FAST // share]), causal, keys)
         top = max((s.gain for s in short), default=0.0)
@@ -224,6 +253,7 @@ class Selection:
                if s.gain > max(LEAST_GAIN, _WORTH_MORE * top)}
         trials = each(lambda s: self.trials.run(fit, base, known, known_free, s,
                                                 again=id(s) in far), short)
+        trials = self._nested(fit, base, raw, known_free, short, trials)
         base, raw, trials = self._rebased(fit, base, raw, known_free, trials)
         # gains are those in the noise that the best explanation of each joint leaves
         before = fit, base, raw, trials
@@ -238,14 +268,14 @@ class Selection:
             # what no effect explains was taken for noise, and the fit has moved away from it
             fit, base, raw, trials = before
             weighting = fit.weighting
-        trials = self.trials.polished(fit, base, known_free, short, trials)
+        trials = self.trials.polished(fit, base, raw, known_free, short, trials)
         base, raw, trials = self._rebased(fit, base, raw, known_free, trials)
         best = max((t for t in trials if t.problem is None), key=lambda t: t.gain, default=None)
         trials.sort(key=lambda t: -t.gain)
         chance = 0.0
         accepted = None
         if best is not None and best.gain > LEAST_GAIN:
-            chance = self._placebo(fit, best, short)
+            chance = self._placebo(fit, best, short, nearest(base, raw))
             accepted = self._parsimonious(best, trials)
         untried = LEAST_UNTRIED
         threshold = max(LEAST_GAIN, PLACEBO_FACTOR * chance + PLACEBO_MARGIN)
@@ -287,8 +317,9 @@ class Selection:
             errors[:, j] = found[number][:, j]
         return colour.weighting(self.predictor, errors)
 
-    def tidied(self, point, keys, weighting, stages, prices):
-        """Effects that the later ones made needless are taken out, or replaced by a rival."""
+    def tidied(self, point, keys, weighting, stages, prices, swapped):
+        """Effects that the later ones made needless are taken out, or replaced by a rival; prices
+        and `Selected.swapped` are kept up."""
         fit = PredictionFit(self.predictor, weighting)
         for number in range(len(keys) - 1):
             rest = tuple(k for n, k in enumerate(keys) if n != number)
@@ -306,7 +337,7 @@ class Selection:
             if bare is None:
                 continue
             if bare.objective - full.objective - prices.get(keys[number], 0.0) < LEAST_GAIN:
-                return self.tidied(bare.point, rest, weighting, stages, prices)
+                return self.tidied(bare.point, rest, weighting, stages, prices, swapped)
             best = None
             for rival in self._rivals(stages, keys[number], keys):
                 effect = rival.fitted.point.effects[-1]
@@ -322,6 +353,7 @@ class Selection:
             if best is not None:
                 _, rival, tried = best
                 prices[rival.key] = rival.price
+                swapped[rival.key] = bare.objective - tried.objective - rival.price
                 return tried.point, (*rest, rival.key)
         return point, keys
 
@@ -338,13 +370,18 @@ class Selection:
 
     def _completed(self, short, causal: CausalScreen, keys) -> list[Scored]:
         """The short list with what the screening has no eye for: the kinds that one which fits any
-        single event contains, and at a joint far noisier than the others those that may be the
-        noise."""
+        single event contains, those that contain one of the best, and at a joint far noisier than
+        the others those that may be the noise."""
         taken = {(s.name, s.joint) for s in short} | set(keys)
         found = list(short)
+        top = max((s.gain for s in short), default=0.0)
         for s in short:
             screening = self.library[s.name].screening
-            for name in screening.contains if screening.generous else ():
+            names = list(screening.contains) if screening.generous else []
+            if s.gain > _FAMILY * top:
+                names += [name for name, kind in self.library.items()
+                          if s.name in kind.screening.contains and not kind.screening.generous]
+            for name in names:
                 if name in self.library and (name, s.joint) not in taken:
                     candidates = self.library[name].screening.candidates(causal.signals,
                                                                          s.joint - 1)
@@ -374,10 +411,10 @@ class Selection:
                     found.append(scored)
         return sorted(found, key=lambda s: -s.gain)
 
-    def _placebo(self, fit, best: Trial, short) -> float:
+    def _placebo(self, fit, best: Trial, short, near) -> float:
         """Greatest gain of shifted innovations over the short list's own columns."""
         pairs = self.trials.free(best.fitted.point, ())
-        known = fit.white(fit.derivatives(best.fitted.point, pairs))
+        known = fit.white(fit.derivatives(best.fitted.point, pairs, near))
         causal = CausalScreen(fit, best.fitted.point, best.fitted.errors, known, self.problem)
         greatest = 0.0
         for s in short:
@@ -391,17 +428,27 @@ class Selection:
 
     def _parsimonious(self, best: Trial, trials) -> Trial:
         screening = self.library[best.name].screening
-        room = max(PARSIMONY, max(_EXACT, screening.generous) * best.gain)
+        least = max(_EXACT, screening.generous) * best.gain
+
+        def needless(t: Trial) -> bool:
+            # what a further coefficient costs is in the gains already
+            room = max(PARSIMONY - (best.price - t.price), least)
+            return t.gain > best.gain - room or best.vanishing
+
         simpler = [t for t in trials if t.problem is None and t.joint == best.joint
-                   and t.name in screening.contains and t.gain > best.gain - room]
+                   and t.name in screening.contains and needless(t)]
         return max(simpler, key=lambda t: t.gain) if simpler else best
 
     def _rivals(self, stages, key, keys) -> list[Trial]:
+        """Trials beside the one by which an effect entered that may take its place: the best, and
+        those that contain it."""
         for stage in stages:
             if stage.accepted is not None and stage.accepted.key == key:
-                return [t for t in stage.trials if t.key != key and t.key not in keys
+                near = [t for t in stage.trials if t.key != key and t.key not in keys
                         and t.fitted is not None and t.problem is None
-                        and t.gain > 0.5 * stage.accepted.gain][:3]
+                        and t.gain > _RIVAL * stage.accepted.gain]
+                return [t for n, t in enumerate(near) if n < _RIVALS or (
+                    t.joint == key[1] and key[0] in self.library[t.name].screening.contains)]
         return []
 
 

@@ -17,7 +17,8 @@ from ..effects import KINDS, Effect
 from ..effects.screening import Illegal
 from ..errors import ParameterError
 from .evidence import Scored
-from .prediction import Fitted, Point
+from .parallel import each
+from .prediction import TWO_MASSES, Fitted, Point
 
 #: least and greatest price [nat] of a coefficient: what a screening promised is no measure of it
 #: where the fit then goes far from there
@@ -41,8 +42,6 @@ _UNTOUCHED, _UNTOUCHED_SHARE = 1.5, 0.03
 #: parameters that a screening gives and a fit leaves alone
 STRUCTURAL = frozenset({"motor_share", "order", "ratio", "transmitted"})
 _STRUCTURAL_OF = {"payload": {"y"}, "transmission_error": set()}
-#: effects that give a joint two masses
-TWO_MASSES = frozenset({"backlash", "joint_elasticity"})
 _IMPOSSIBLE = "it would need an impossible value"
 #: stiffnesses of which more means less of an effect
 _LESS_WHEN_STIFFER = {("joint_elasticity", "stiffness"), ("presliding_friction", "stiffness")}
@@ -71,6 +70,14 @@ class Trial:
     def key(self) -> tuple:
         """(name, joint)."""
         return self.name, self.joint
+
+    @property
+    def vanishing(self) -> bool:
+        """Whether it is as stiff as it may be, and nothing of it left but what it contains."""
+        effects = () if self.fitted is None else self.fitted.point.effects[-1:]
+        return any((effect.kind.name, p.name) in _LESS_WHEN_STIFFER
+                   and effect.values[p.name] >= p.high
+                   for effect in effects for p in effect.kind.parameters)
 
     @property
     def untried(self) -> bool:
@@ -123,21 +130,21 @@ class Trials:
             if fitted is not None and _fixed(scored):
                 # a limit that fits best with the parameters as they are may not be where it is
                 starts += [fitted.point, Point(self.mechanism.start, screened.effects)]
-            fitted = _lowest(fitted, *self._anew(fit, base, known_free, free, starts))
+            fitted = _lowest(fitted, *self._anew(fit, base, known, known_free, free, starts))
         if fitted is None:
             return Trial(scored.name, scored.joint, 0.0, 0.0, None, _price(scored),
                          "the model with it does not stay finite along the log")
         return self._judged(fit, base, scored, fitted)
 
-    def _anew(self, fit, base: Fitted, known_free, free, starts) -> list[Fitted | None]:
+    def _anew(self, fit, base: Fitted, known, known_free, free, starts) -> list[Fitted | None]:
         """Fits from several starts with derivatives about each."""
-        if starts[0].effects[-1].kind.name not in TWO_MASSES:
+        if not starts[0].heavy:
             return [fit.run(at, (*known_free, *free), rounds=3) for at in starts]
-        # a model of two masses takes ten times as long to run, and answers to the arm's parameters
-        # much as the rigid one does
-        rigid = fit.white(fit.derivatives(Point(self.mechanism.start, base.point.effects),
-                                          known_free))
-        return [fit.run(at, free, known=rigid, known_free=known_free, rounds=6) for at in starts]
+        if not base.point.heavy:
+            # a model of two masses answers to the arm's parameters much as the rigid one does
+            known = fit.white(fit.derivatives(Point(self.mechanism.start, base.point.effects),
+                                              known_free))
+        return [fit.run(at, free, known=known, known_free=known_free, rounds=6) for at in starts]
 
     def _answered(self, fit, base: Fitted, known, scored: Scored) -> Point | None:
         """The model with an effect as screened and the parameters as they answer to it, both by
@@ -191,33 +198,37 @@ class Trials:
             point = Point(screened.theta, (*screened.effects[:-1], moved))
             errors = fit.errors(point)
             if errors is not None:
-                objective = fit.objective(errors, point.theta)
+                objective = fit.objective(errors, point)
                 if best is None or objective < best[0]:
                     best = objective, point
         return screened if best is None else best[1]
 
-    def polished(self, fit, base: Fitted, known_free, short, trials) -> list[Trial]:
-        """Those that are near the best fitted again, with all derivatives about themselves."""
+    def polished(self, fit, base: Fitted, raw, known_free, short, trials) -> list[Trial]:
+        """Those that are near the best fitted again, with all derivatives about themselves.
+
+        raw : derivatives about the base.
+        """
         top = max((t.gain for t in trials if t.problem is None), default=0.0)
         if top < _WORTH:
             return trials
         near = sorted((t for t in trials if t.problem is None and t.gain > _NEAR * top),
                       key=lambda t: -t.gain)[:_POLISHED]
-        result = []
-        for s, t in zip(short, trials):
-            if t in near and len(near) > 1:
-                pairs = (*known_free, *t.fitted.names[len(known_free):])
-                fitted, before = t.fitted, t.fitted.objective
-                heavy = any(e.kind.name in TWO_MASSES for e in fitted.point.effects)
-                for _ in range(1 if heavy else _POLISHINGS):
-                    known = fit.white(fit.derivatives(fitted.point, pairs))
-                    fitted = fit.run(fitted.point, (), known=known, known_free=pairs, rounds=3)
-                    if before - fitted.objective < _SMOOTH:
-                        break
-                    before = fitted.objective
-                t = self._judged(fit, base, s, fitted)
-            result.append(t)
-        return result
+        if len(near) < 2:
+            return trials
+
+        def smooth(scored: Scored, trial: Trial) -> Trial:
+            fitted, before = trial.fitted, trial.fitted.objective
+            pairs = (*known_free, *fitted.names[len(known_free):])
+            for _ in range(1 if fitted.point.heavy else _POLISHINGS):
+                known = fit.white(fit.derivatives(fitted.point, pairs, nearest(base, raw)))
+                fitted = fit.run(fitted.point, (), known=known, known_free=pairs, rounds=3)
+                if before - fitted.objective < _SMOOTH:
+                    break
+                before = fitted.objective
+            return self._judged(fit, base, scored, fitted)
+
+        return each(lambda pair: smooth(*pair) if pair[1] in near else pair[1],
+                    list(zip(short, trials)))
 
     def free(self, point: Point, keys) -> tuple:
         """All free parameters of the effects of a model."""
@@ -281,6 +292,12 @@ class Trials:
 
     def _on_arm(self) -> bool:
         return self.problem.sampled.joints == 3
+
+
+def nearest(base: Fitted, raw: np.ndarray) -> np.ndarray | None:
+    """Derivatives by parameters, about the base of a trial, that may stand for those about the
+    trial: from one model of two masses to another they change little."""
+    return raw if base.point.heavy else None
 
 
 def _fixed(scored: Scored) -> bool:

@@ -121,9 +121,10 @@ class Unnamed:
             about.append((causal, shape.curves(causal, self.mechanism.position_unit, joints)))
         tried = []
         for causal, found in about:
-            # where parameters stay near, so do derivatives by them
-            known = None if stretched else causal.jacobian[causal.fit.rows]
-            free, as_known = (final.names, ()) if stretched else ((), final.names)
+            # where parameters stay near, so do derivatives by them; those of two masses take long
+            anew = stretched and not causal.point.heavy
+            known = None if anew else causal.jacobian[causal.fit.rows]
+            free, as_known = (final.names, ()) if anew else ((), final.names)
             for curve in shape.best_of_joints(found, _RIVAL):
                 volts = curve.volts(causal)
                 fit = PredictionFit(self.predictor.less(volts), causal.fit.weighting)

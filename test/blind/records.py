@@ -13,6 +13,8 @@ from .faults import FAULTS
 from .outside import OUTSIDE
 
 
+#: a pair that on one joint is a single effect to any log: a spring about another angle
+ONE_ANGLE = {"joint_spring", "voltage_offset"}
 #: servo period [s] of the arm: 28 ms over 30
 SERVO = 0.028 / 30
 
@@ -76,7 +78,8 @@ def _recipe(kind: str, seed: int, turn: int) -> Recipe:
             if EFFECTS[second].family != EFFECTS[first].family:
                 break
         placed = [_placed(rng, first), _placed(rng, second)]
-        if rng.random() < 0.5 and None not in (placed[0][1], placed[1][1]):
+        same = {first, second} == ONE_ANGLE and placed[0][1] == placed[1][1]
+        if (rng.random() < 0.5 or same) and None not in (placed[0][1], placed[1][1]):
             free = [j for j in EFFECTS[second].joints if j != placed[0][1]]
             placed[1] = (second, int(rng.choice(free)))
         return Recipe(**_fit(_fit(common, rng, second), rng, first), effects=tuple(placed),

@@ -12,6 +12,8 @@ from .common import (candidate, fastest, is_arm, motor_torque, moves, on_joint, 
 
 #: more times the middling friction torque than any friction of a machine
 _MOST = 12.0
+#: share of a bump by which the sliding level below it may come out negative
+_SLACK = 0.2
 #: Stribeck velocities of a revolute joint [rad/s], and yield deflections of its bristles [rad]
 _STRIBECK_VELOCITIES = np.geomspace(0.008, 0.15, 8)
 _YIELD_DEFLECTIONS = np.geomspace(1e-4, 3e-3, 9)
@@ -74,10 +76,13 @@ def stribeck(signals: Signals, joint: int) -> list[Candidate]:
             continue
 
         def values(c, vs=float(vs)):
+            # a bump may leave so little level that viscous friction takes it, or a name before it
+            # has
+            level = max(c[0], 0.0) if c[0] > -_SLACK * c[1] else c[0]
             return {"torque": positive(c[1], "excess over the sliding level", "N.m",
                                        _MOST * scale),
                     "velocity": vs,
-                    "sliding": positive(c[0], "sliding level", "N.m", _MOST * scale)}
+                    "sliding": positive(level, "sliding level", "N.m", _MOST * scale)}
 
         bump = np.exp(-(velocity / vs) ** 2) * direction
         found.append(candidate(on_joint(joint, direction, bump), [0.5 * scale, 0.4 * scale],
