@@ -227,7 +227,7 @@ SCREENINGS = {
                                     "the reversal"),
             ("backlash", "the friction lasts as long as the joint moves")),
         excitation="At least six reversals of the joint, with motion at several speeds.",
-        plausible=(("torque", 1.0, 40.0),)),
+        plausible=(("torque", 0.4, 40.0),)),
     "asymmetric_coulomb_friction": Screening(
         asymmetric_coulomb,
         look_alikes=(
@@ -242,7 +242,7 @@ SCREENINGS = {
                                   "direction")),
         excitation="Motion in both directions for about equal times, with many reversals.",
         contains=("coulomb_friction",),
-        plausible=(("positive", 1.0, 40.0), ("negative", 1.0, 40.0))),
+        plausible=(("positive", 0.4, 40.0), ("negative", 0.4, 40.0))),
     "stribeck_friction": Screening(
         stribeck,
         look_alikes=(
@@ -257,7 +257,7 @@ SCREENINGS = {
             ("impulse", "the bump comes back at each slow motion")),
         excitation="Crawling at 0.01 to 0.2 rad/s, for example slow triangles of the position.",
         contains=("coulomb_friction",),
-        plausible=(("torque", 1.5, 30.0), ("velocity", 0.008, 0.15), ("sliding", 0.0, 40.0))),
+        plausible=(("torque", 0.4, 30.0), ("velocity", 0.008, 0.15), ("sliding", 0.0, 40.0))),
     "presliding_friction": Screening(
         presliding,
         look_alikes=(
@@ -272,7 +272,7 @@ SCREENINGS = {
             ("soft_stop", "the loop comes after each reversal, at any position")),
         excitation="Reversals with slow travel of 0.1 to 1 mrad about them.",
         contains=("coulomb_friction",),
-        plausible=(("torque", 1.0, 40.0), ("stiffness", 1e3, 1e6))),
+        plausible=(("torque", 0.4, 40.0), ("stiffness", 1e3, 1e6))),
     "load_dependent_friction": Screening(
         load_dependent,
         look_alikes=(
@@ -297,7 +297,7 @@ SCREENINGS = {
                               "of the joint, not of the motor")),
         excitation="Reversals over the full range of the joint.",
         contains=("coulomb_friction",),
-        plausible=(("amplitude", 1.0, 30.0), ("torque", 1.0, 40.0))),
+        plausible=(("amplitude", 0.4, 30.0), ("torque", 0.4, 40.0))),
     "quadratic_friction": Screening(
         quadratic,
         look_alikes=(
