@@ -19,9 +19,10 @@ from . import colour
 from .causal import CausalScreen
 from .evidence import Scored
 from .parallel import each
-from .prediction import TWO_MASSES, Fitted, Point, PredictionFit
+from .prediction import Fitted, Point, PredictionFit
 from .predictor import Predictor
 from .search import Search
+from .short_list import ShortList
 from .trials import Trial, Trials, nearest
 from .weighting import Weighting
 
@@ -37,18 +38,11 @@ LEAST_SHARE = 0.015
 #: least gain [nat] of a name that does not act on any row kept back, and least share of the first
 #: effect's gain if it is a further one
 LEAST_UNTRIED, UNTRIED_SHARE = 25.0, 0.03
-#: hypotheses of a short list, slow and fast, and their least gain in the screening
-_SLOW, _FAST, _LEAST_SCREENED = 8, 4, 2.0
-#: share of the best gain in the screening from which on the kinds that contain one are tried, too
-_FAMILY = 0.3
 #: for how many of the best in the screening, and from which share of the best gain there on, all
 #: derivatives are taken anew where a fit does not keep what was promised
 _AGAIN, _WORTH_MORE = 4, 0.03
-#: a joint is far noisier than the others from so many times the median of their noise on; the
-#: price [nat] of a coefficient of what is tried there unasked
-_NOISY, _UNSEEN_PRICE = 3.0, 4.0
-#: gain [nat] that a kind must be better by than one that it contains, the difference of their prices
-#: included, and than one it replaces
+#: gain [nat] that a kind must be better by than one that it contains, the difference of their
+#: prices included, and than one it replaces
 PARSIMONY, SWAP = 2.5, 3.0
 #: most times that derivatives are taken anew, at the end and within a stage
 _REFITS, _STAGE_REFITS = 4, 2
@@ -124,7 +118,7 @@ class Selection:
     def run(self, theta: np.ndarray, bank) -> Selected:
         """Add effects until none is asked for; theta, bank: from the screening on filtered
         motion."""
-        self.bank = bank
+        self.short_list = ShortList(self.search, self.predictor, self.library, bank)
         point = Point(theta, ())
         weighting = self.predictor.white_weighting(self._raw(point))
         keys: tuple = ()
@@ -241,14 +235,9 @@ class Selection:
         base, raw = self._exact(fit, point, known_free)
         known = fit.white(raw)
         causal = CausalScreen(fit, base.point, base.errors, known, self.problem)
-        slow = self._slow(keys, base)
-        fast = self._fast(causal, keys)
-        # a model of two masses a joint takes some ten times as long
-        heavy = base.point.heavy
-        share = 2 if heavy else 1
-        short = self._completed(_joined(slow[:_SLOW // share], fast[:_FAST // share]), causal, keys)
+        short, screened = self.short_list.of(keys, base.point, causal)
         top = max((s.gain for s in short), default=0.0)
-        most = 1 if heavy else _AGAIN
+        most = 1 if base.point.heavy else _AGAIN
         far = {id(s) for s in sorted(short, key=lambda s: -s.gain)[:most]
                if s.gain > max(LEAST_GAIN, _WORTH_MORE * top)}
         trials = each(lambda s: self.trials.run(fit, base, known, known_free, s,
@@ -290,7 +279,6 @@ class Selection:
                    ] if best else []
         if accepted is not None and accepted not in passing:
             accepted = self._parsimonious(passing[0], passing) if passing else None
-        screened = sorted(slow + fast, key=lambda s: -s.gain)
         return Stage(trials, threshold, base, screened, weighting, accepted, chance)
 
     def _held_volts(self, fit, base: Fitted, raw, trials) -> float:
@@ -362,55 +350,6 @@ class Selection:
     def _raw(self, point: Point) -> np.ndarray:
         return self.predictor.errors(self.mechanism.plant(point.theta, point.effects))
 
-    def _slow(self, keys, base: Fitted) -> list[Scored]:
-        linear = self.problem.linear(base.point.theta, base.point.effects)
-        stage = self.search.stage(linear, (), self.bank)
-        return [s for s in stage.scores if s.values is not None and s.gain > _LEAST_SCREENED
-                and (s.name, s.joint) not in keys]
-
-    def _completed(self, short, causal: CausalScreen, keys) -> list[Scored]:
-        """The short list with what the screening has no eye for: the kinds that one which fits any
-        single event contains, those that contain one of the best, and at a joint far noisier than
-        the others those that may be the noise."""
-        taken = {(s.name, s.joint) for s in short} | set(keys)
-        found = list(short)
-        top = max((s.gain for s in short), default=0.0)
-        for s in short:
-            screening = self.library[s.name].screening
-            names = list(screening.contains) if screening.generous else []
-            if s.gain > _FAMILY * top:
-                names += [name for name, kind in self.library.items()
-                          if s.name in kind.screening.contains and not kind.screening.generous]
-            for name in names:
-                if name in self.library and (name, s.joint) not in taken:
-                    candidates = self.library[name].screening.candidates(causal.signals,
-                                                                         s.joint - 1)
-                    scored = causal.score(name, s.joint, candidates)
-                    if scored is not None and scored.values is not None:
-                        found.append(scored)
-        two = {joint for name, joint in keys if name in TWO_MASSES}
-        volts = self.predictor.volts
-        for j in np.flatnonzero(volts > _NOISY * np.median(volts)):
-            for name, kind in self.library.items():
-                values = dict(kind.screening.unseen)
-                if values and j + 1 not in two and (name, j + 1) not in taken:
-                    found.append(Scored(name, int(j) + 1, 0.0, 0.0, None, None, None, values,
-                                        price=_UNSEEN_PRICE * len(values)))
-        return found
-
-    def _fast(self, causal: CausalScreen, keys) -> list[Scored]:
-        found = []
-        for name, kind in self.library.items():
-            for j in ([None] if not kind.per_joint else range(causal.J)):
-                joint = None if j is None else j + 1
-                if (name, joint) in keys:
-                    continue
-                scored = causal.score(name, joint, kind.screening.candidates(causal.signals, j))
-                if scored is not None and scored.values is not None \
-                        and scored.gain > _LEAST_SCREENED:
-                    found.append(scored)
-        return sorted(found, key=lambda s: -s.gain)
-
     def _placebo(self, fit, best: Trial, short, near) -> float:
         """Greatest gain of shifted innovations over the short list's own columns."""
         pairs = self.trials.free(best.fitted.point, ())
@@ -450,12 +389,3 @@ class Selection:
                 return [t for n, t in enumerate(near) if n < _RIVALS or (
                     t.joint == key[1] and key[0] in self.library[t.name].screening.contains)]
         return []
-
-
-def _joined(*rankings) -> list[Scored]:
-    """All hypotheses of several rankings, each with the values of the ranking that has it first."""
-    found: dict = {}
-    for ranking in rankings:
-        for scored in ranking:
-            found.setdefault((scored.name, scored.joint), scored)
-    return list(found.values())
