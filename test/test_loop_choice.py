@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -123,6 +123,37 @@ def test_of_kinds_that_contain_each_other_the_simpler_goes_first(name, simpler, 
     best = max(richer, plain, key=lambda t: t.gain)
     found = Selection._parsimonious(SimpleNamespace(library=KINDS), best, [richer, plain])
     assert found.name == wanted
+
+
+@pytest.mark.parametrize("stiffness, wanted", [(2e4, "presliding_friction"),
+                                               (1e6, "coulomb_friction")])
+def test_a_bristle_as_stiff_as_it_may_be_is_none(stiffness, wanted):
+    bristle = parse_effect(f"presliding_friction:joint=2,torque=8,stiffness={stiffness}")
+    stiff = replace(trial(("presliding_friction", 2), 120.0, 8.0), fitted=fitted(bristle))
+    plain = trial(("coulomb_friction", 2), 100.0, 6.0)
+    found = Selection._parsimonious(SimpleNamespace(library=KINDS), stiff, [stiff, plain])
+    assert found.name == wanted
+
+
+def test_rivals_are_the_best_and_those_that_contain_what_was_chosen():
+    chosen = trial(("coulomb_friction", 2), 100.0)
+    others = [(("voltage_dead_band", 2), 95.0), (("stribeck_friction", 2), 90.0),
+              (("load_dependent_friction", 2), 85.0), (("joint_spring", 2), 80.0),
+              (("position_dependent_friction", 2), 70.0), (("presliding_friction", 1), 65.0),
+              (("asymmetric_coulomb_friction", 2), 40.0)]
+    trials = [chosen, *(replace(trial(*each), fitted=fitted()) for each in others)]
+    stage = Stage(trials, 15.0, None, [], None, chosen)
+    found = Selection._rivals(SimpleNamespace(library=KINDS), [stage], chosen.key, (chosen.key,))
+    assert [t.name for t in found] == ["voltage_dead_band", "stribeck_friction",
+                                       "load_dependent_friction", "position_dependent_friction"]
+
+
+def test_an_effect_that_took_the_place_of_another_has_a_gain_of_its_own():
+    stages = [Stage([t], 8.0, None, [], None, t) for t in (trial(A, 90.0), trial(B, 30.0))]
+    rival = ("stribeck_friction", 1)
+    selected = Selected(fitted(), fitted(B, rival), (B, rival), stages, None,
+                        swapped={rival: 120.0})
+    assert [selected.gain_of(key) for key in selected.keys] == [30.0, 120.0]
 
 
 def test_without_rows_held_out_nothing_is_retracted():

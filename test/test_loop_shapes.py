@@ -10,9 +10,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from loop_logs import record
+from loop_logs import pieces, record
 from puma_sim_core.loop import explain
-from puma_sim_core.loop.shape import Curve, simplest_first
+from puma_sim_core.loop.prediction import Fitted, Point
+from puma_sim_core.loop.shape import Curve, again, noise, simplest_first
+from puma_sim_core.loop.unnamed import Unnamed
 from puma_sim_core.mechanisms import load_mechanism
 
 pytestmark = pytest.mark.timeout(600)
@@ -37,6 +39,26 @@ def test_the_joint_and_the_axis_of_what_has_no_name(volts, axis, way):
     found = explain(record(ARM, ARM.plant(), 0.05, 2e-5, seconds=6.0, unlogged=volts))
     assert found.shape is not None, found.sentence
     assert (found.shape.joint, found.shape.axis, found.shape.way) == (2, axis, way)
+
+
+def test_a_line_in_time_stays_the_same_in_another_noise():
+    def shake(t, simulator):
+        return [0.5 * np.sin(2.0 * np.pi * 6.0 * t), 0.0, 0.0]
+
+    log = record(ARM, ARM.plant(), 0.05, 2e-5, seconds=4.0, unlogged=shake)
+    problem, with_blocks = pieces(ARM, log, 0.05, 2e-5)
+    unnamed = Unnamed(with_blocks(problem), problem, seed=0)
+    point = Point(ARM.start, ())
+    causal, found = unnamed._about(Fitted(point, np.zeros(0), 0.0, ()))
+    line = next(c for c in found if c.scored.name == "line")
+    frequency = line.scored.entry.candidate.grid["frequency"]
+    assert line.scored.joint == 1 and frequency == pytest.approx(6.0, abs=0.15)
+    other = unnamed._causal(point, (), noise(causal, found))
+    there = again(other, line)
+    assert there.scored.entry.candidate.grid["frequency"] == frequency
+    assert there.scored.gain > 20.0
+    assert np.ptp(there.volts(other)[:, 0]) == pytest.approx(1.0, rel=0.25)
+    assert not there.volts(other)[:, 1:].any()
 
 
 def curve(joint, gain, knots):
