@@ -10,7 +10,12 @@ from __future__ import annotations
 
 import re
 
+from hypothesis import settings
 import pytest
+
+# how long an example takes says nothing on a machine that does other work as well
+settings.register_profile("project", deadline=None)
+settings.load_profile("project")
 
 
 def pytest_addoption(parser):

@@ -10,7 +10,7 @@ import sys
 import bag_sessions as sessions
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
@@ -71,7 +71,6 @@ def test_a_bag_gives_back_every_bit(tmp_path, command_interface, steps):
 FLOATS = st.floats(allow_nan=False, width=64)
 
 
-@settings(deadline=None)
 @given(values=st.lists(st.tuples(FLOATS, FLOATS, FLOATS), min_size=5, max_size=5))
 def test_any_numbers_survive(tmp_path_factory, values):
     bag = tmp_path_factory.mktemp("numbers") / "run"
@@ -84,7 +83,6 @@ def test_any_numbers_survive(tmp_path_factory, values):
     assert sessions.bits(contents.commands[0][1].values) == sessions.bits(values[0])
 
 
-@settings(deadline=None)
 @given(
     names=st.lists(st.text(st.characters(codec="utf-8", exclude_characters="\0")), max_size=4),
     frame=st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=9),

@@ -9,7 +9,7 @@ import errno
 import bag_sessions as sessions
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from puma_sim_core.bag import RecordedCommand, iterate_messages, messages, read_bag
@@ -272,7 +272,6 @@ def test_metadata_that_is_not_yaml_is_named(tmp_path, content):
         read_bag(bag)
 
 
-@settings(deadline=None)
 @given(position=st.floats(0, 1), value=st.integers(0, 255))
 def test_a_changed_byte_is_read_or_named(tmp_path_factory, position, value):
     """Never another kind of error, wherever the byte stands."""

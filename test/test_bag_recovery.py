@@ -172,7 +172,7 @@ def cut_anywhere(tmp_path_factory):
     return Cut(tmp_path_factory.mktemp("anywhere"), "position")
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(position=st.floats(0, 1))
 def test_a_file_cut_at_any_byte_is_recovered_or_refused(cut_anywhere, position):
     length = int(position * len(cut_anywhere.data))
@@ -181,7 +181,7 @@ def test_a_file_cut_at_any_byte_is_recovered_or_refused(cut_anywhere, position):
     assert steps is None or steps <= longer
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(position=st.floats(0, 1), mask=st.integers(1, 255), length=st.integers(1, 3000))
 def test_damaged_bytes_are_recovered_around_or_refused(cut_anywhere, position, mask, length):
     """Whatever the damage: a bag that reads, or an error that names the file."""

@@ -132,7 +132,7 @@ def test_bad_input_is_named(change, named):
         run_batch([Plant.of()] * 3, time, voltage, **arguments)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.floats(-1e5, 1e5))
 def test_sine_and_cosine_of_the_lanes_are_within_an_ulp(x):
     s, c = polynomial_sin_cos(x)

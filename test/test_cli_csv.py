@@ -22,7 +22,7 @@ def bits(array):
     return np.ascontiguousarray(array).view(np.int64).tolist()
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(values=st.lists(st.tuples(numbers, numbers, numbers), min_size=1, max_size=30))
 @example(values=[(-0.0, 5e-324, 1.7976931348623157e308), (0.1, 2.2250738585072014e-308, 1e22)])
 def test_a_file_reads_back_to_the_same_bits(tmp_path_factory, values):
@@ -38,7 +38,7 @@ def test_a_file_reads_back_to_the_same_bits(tmp_path_factory, values):
         assert bits(read.voltage) == bits(recording.voltage) and bits(read.time) == bits(time)
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(field=st.one_of(
     st.text(alphabet="0123456789+-.eE_xXnaif \t'#\"", max_size=8),
     st.text(max_size=4),

@@ -26,7 +26,7 @@ SMOOTH = [Move(0.28, 1.2, (1.0, -0.8, 1.0))]
 triple = st.lists(st.floats(-2.5, 2.5), min_size=3, max_size=3).map(np.array)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(triple, triple, triple, st.sampled_from(["bejczy", "corke_armstrong_1994"]),
        st.sampled_from(["physical", "printed"]))
 def test_inverse_dynamics_are_those_of_the_matrices(q, v, a, name, form):

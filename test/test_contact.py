@@ -158,7 +158,7 @@ def decision(M, b, pairs, moving):
     return found
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(q=triples, load=triples, values=levels, moving=signs)
 def test_stick_and_slip_of_three_joints_is_the_only_consistent_choice(q, load, values, moving):
     pairs = list(zip(values[::2], values[1::2]))
@@ -205,7 +205,7 @@ def test_a_joint_pulls_another_one_loose():
 # -------------------------------------------------------------------------------- invariants
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(q=triples, qd=triples, values=levels, bump=st.floats(0, 10))
 def test_friction_never_makes_energy(q, qd, values, bump):
     bumps = [f"stribeck_friction:joint={j},torque={bump}" for j in (1, 2, 3)]
@@ -219,7 +219,7 @@ def test_friction_never_makes_energy(q, qd, values, bump):
     assert np.max(np.diff(total)) < 5e-5
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(joint=st.integers(0, 2), speed=st.floats(0.01, 1), volts=numbers,
        level=st.floats(20, 60), bump=st.floats(0, 10))
 def test_a_joint_stops_for_good_where_friction_exceeds_the_drive(joint, speed, volts, level, bump):

@@ -223,7 +223,7 @@ def well_placed(q):
     return flat > ARM.d3 + 0.02 and abs(ARM.a2 - rho) + 0.02 < reach < ARM.a2 + rho - 0.01
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(*[st.floats(low, high) for low, high in ARM.joint_ranges])
 def test_wrist_angles_invert_the_wrist_position(q1, q2, q3):
     q = np.array([q1, q2, q3])
@@ -234,7 +234,7 @@ def test_wrist_angles_invert_the_wrist_position(q1, q2, q3):
                                point, rtol=0, atol=1e-12)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(*[st.floats(low, high) for low, high in ARM.joint_ranges])
 def test_all_four_solutions_are_reached_by_where_the_arm_is(q1, q2, q3):
     q = np.array([q1, q2, q3])

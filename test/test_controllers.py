@@ -178,7 +178,6 @@ def schedule(**changes):
         "derivative_time": [0.0, 0.01, TABLE.tolist()], **changes})
 
 
-@settings(deadline=None)
 @given(st.floats(-3.0, 4.0), st.floats(-3.0, 4.0))
 def test_gains_are_interpolated_linearly_and_held_beyond_the_edges(q2, q3):
     at = schedule().at(q2, q3)
@@ -247,7 +246,7 @@ def test_schedules_that_cannot_be_are_named(make, message):
         make()
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(st.floats(-3.8, 0.7), st.floats(-0.9, 4.0), st.floats(30.0, 80.0))
 def test_placed_gains_put_the_poles_where_they_should_be(q2, q3, b):
     pose = np.array([0.3, q2, q3])

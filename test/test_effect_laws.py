@@ -125,7 +125,7 @@ def test_presliding_does_not_drift_under_a_constant_load():
         assert abs(run.position[-1, 0] - run.position[-2, 0]) < 1e-9
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(st.floats(1.0, 1e6), st.floats(0.0, 40.0), st.integers(0, 2**32 - 1))
 def test_bristles_never_bend_beyond_their_level(stiffness, level, seed):
     plant = plant_of(*[f"presliding_friction:joint={j},stiffness={stiffness!r},torque={level!r}"
@@ -201,7 +201,7 @@ def test_bristles_far_below_their_level_are_springs_of_the_order_of_the_method(j
     assert errors[0] / errors[1] > 12.0 and errors[1] / errors[2] > 12.0
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(st.integers(0, 2**32 - 1), st.floats(1e2, 1e6))
 def test_bristles_never_make_energy(seed, stiffness):
     plant = open_circuit(plant_of(*[
@@ -221,7 +221,7 @@ def test_bristles_never_make_energy(seed, stiffness):
 # ------------------------------------------------------------------------------------- amplifier
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(limits=st.tuples(*[st.floats(0.01, 10)] * 3), seed=st.integers(0, 2**32 - 1))
 def test_current_never_exceeds_its_limit(limits, seed):
     plant = plant_of(*[f"current_limit:joint={j},current={c!r}"

@@ -154,7 +154,6 @@ def test_a_blow_keeps_its_momentum_however_long_the_steps(step):
     assert momentum == pytest.approx(90 * 0.011 / 2, rel=1e-12)
 
 
-@settings(deadline=None)
 @given(t=st.floats(-1, 1), step=st.floats(1e-6, 0.5), width=st.floats(1e-3, 2.0))
 def test_the_mean_of_a_pulse_is_its_integral(t, step, width):
     mean = interpreted(pulse_torque)((3.0, 0.1, width), 0, t, step)
@@ -293,7 +292,7 @@ def test_a_batch_gives_the_same_bits():
         assert bits(result.position[n]) == bits(simulator.run(time, volts).position)
 
 
-@settings(deadline=None, max_examples=10)
+@settings(max_examples=10)
 @given(st.floats(0.0, 50.0))
 def test_the_cold_motor_is_the_one_at_time_zero(start):
     # a record may begin at any time: drift and warm-up are those of its own clock

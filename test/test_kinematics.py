@@ -23,7 +23,7 @@ A2, A3, D3, D4 = ARM.a2, ARM.a3, ARM.d3, ARM.d4
 STEP = 1e-40
 
 six_angles = st.tuples(*[st.floats(-math.pi, math.pi) for _ in range(6)]).map(np.array)
-many = settings(deadline=None, max_examples=40)
+many = settings(max_examples=40)
 
 
 def rotation(axis, angle):

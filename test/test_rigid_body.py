@@ -239,7 +239,7 @@ def link_of_points(points, weights):
 
 
 @every_set
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(q=angles, qd=rates)
 def test_ddot_minus_2c_is_skew_symmetric(name, q, qd):
     # C_ij = sum_k C_ijk qd_k with Christoffel symbols; derivative of D by the complex step
@@ -251,7 +251,7 @@ def test_ddot_minus_2c_is_skew_symmetric(name, q, qd):
 
 
 @every_set
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(q=angles)
 def test_coriolis_are_the_christoffel_symbols_of_the_inertia(name, q):
     arm = arm_of(name)
@@ -266,7 +266,7 @@ def test_coriolis_are_the_christoffel_symbols_of_the_inertia(name, q):
 
 
 @every_set
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(q=angles)
 def test_gravity_torque_is_the_slope_of_the_potential_energy(name, q):
     arm = arm_of(name)

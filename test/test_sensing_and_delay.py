@@ -132,7 +132,7 @@ def test_a_delay_shifts_the_voltages_by_exactly_its_time(delay):
     np.testing.assert_allclose(seen.acceleration, truth.acceleration[rows], rtol=0, atol=1e-9)
 
 
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 @given(delay=st.floats(0.0, 0.08), cuts=st.lists(st.integers(1, 9), max_size=3, unique=True))
 def test_what_is_on_its_way_goes_on_from_run_to_run(delay, cuts):
     time, volts = smooth_voltages((9.0, 12.0, 7.0), 0.32)

@@ -22,7 +22,7 @@ finite = st.floats(-1e6, 1e6)
 triple = st.tuples(finite, finite, finite)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(initial=triple, velocity=triple, current=triple, period=st.floats(1e-4, 0.2),
        limit=st.floats(1e-3, 1e3), timeout=st.floats(0, 100), gain=st.floats(0, 1e5),
        bits_=st.none() | st.integers(2, 32), interface=st.sampled_from(("voltage", "position")))

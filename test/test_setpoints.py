@@ -127,7 +127,7 @@ def test_velocity_is_the_slope_of_the_position(lead):
     np.testing.assert_allclose(slope, mean, atol=2e-4)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(st.floats(-2.0, 2.0), min_size=1, max_size=6))
 def test_whatever_the_setpoints_without_lead_the_bounds_hold(jumps):
     targets = np.repeat(jumps, 12)

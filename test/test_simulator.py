@@ -90,7 +90,7 @@ def test_outputs_are_sampled_at_the_times_of_the_rows():
 
 
 @given(duration=st.floats(1e-4, 0.2), max_step=st.floats(2e-4, GREATEST_STEP))
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 def test_steps_inside_a_row_are_equal_and_at_most_max_step(duration, max_step):
     # voltages alone on a held arm: the current after n steps of h is the stability polynomial's
     simulator = Simulator(plant_of(), constraints=(Constraint("hold"),) * 3, max_step=max_step)
