@@ -20,7 +20,7 @@ settings.load_profile("project")
 
 def pytest_addoption(parser):
     parser.addoption("--share", default=(1, 1), metavar="N/M", type=_share,
-                     help="of the files with tests marked long, those of every M-th from the N-th on")
+                     help="of the files with tests marked long, every M-th from the N-th on")
 
 
 def _share(text: str) -> tuple[int, int]:

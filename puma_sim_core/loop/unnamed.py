@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""What is left of a log after a model, as free curves, and whether one lets no name stand (step 10).
+"""What is left of a log after a model, as free curves; whether one lets no name stand (step 10).
 
-What is missing may have stretched parameters, and it shows at the joints that the inertia couples to
-its own: so curves are drawn about the parameters as they are when the best curve takes its part.
+What is missing may have stretched parameters, and it shows at the joints that the inertia couples
+to its own: so curves are drawn about the parameters as they are when the best curve takes its part.
 """
 
 from __future__ import annotations
