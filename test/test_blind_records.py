@@ -212,6 +212,9 @@ def test_plans_are_deterministic_small_and_cover_every_name():
     for recipe in records.plan("pair", 2000, 40):
         (one, _), (other, _) = recipe.effects
         assert effects.EFFECTS[one].family != effects.EFFECTS[other].family
+    springs = [recipe for recipe in records.plan("pair", 2000, 1000)
+               if {name for name, _ in recipe.effects} == records.ONE_ANGLE]
+    assert springs and all(one[1] != other[1] for one, other in (r.effects for r in springs))
 
 
 @pytest.mark.parametrize("kind", faults.FAULTS)

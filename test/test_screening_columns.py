@@ -17,7 +17,7 @@ from screening_support import (ARM, STEP, recorded, residual, signals_of, smooth
 from puma_sim_core.effects import KINDS, Effect
 from puma_sim_core.effects.columns import SCREENINGS
 from puma_sim_core.effects.columns.outside import impulse
-from puma_sim_core.effects.screening import TORQUE_COLUMN
+from puma_sim_core.effects.screening import Illegal, TORQUE_COLUMN
 
 pytestmark = pytest.mark.long
 
@@ -318,3 +318,14 @@ def test_column_of_a_drive_with_play(plain):
     values = choose(plain).values(np.ones(1))
     signals = as_signals(recorded(effect_of("backlash", joint, values)))
     compare(residual(signals), volts(signals, choose(signals), [1.0]), signals, 0.25, start=0.5)
+
+
+@pytest.mark.parametrize("level, legal", [(3.0, True), (-0.3, True), (-0.5, False)])
+def test_a_bump_may_take_a_little_of_the_level_below_it(plain, level, legal):
+    values = at("stribeck_friction", 2, {"velocity": 0.05})(plain).values
+    if legal:
+        assert values(np.array([level, 2.0]))["sliding"] == max(level, 0.0)
+        assert values(np.array([level, 2.0]))["torque"] == 2.0
+    else:
+        with pytest.raises(Illegal, match="negative sliding level"):
+            values(np.array([level, 2.0]))

@@ -257,8 +257,8 @@ def _bounded_step(normal, gradient, first: int) -> np.ndarray:
 
 def _size(effect: Effect, name: str) -> float:
     """What derivatives by a parameter are per: its size, or, of a place that has no zero, how far
-    it must move to matter. A hundredth of the angle at which a stop begins, of the time of a blow, or
-    of a limit that is met by little, may jump over all of it."""
+    it must move to matter. A hundredth of the angle at which a stop begins, of the time of a blow,
+    or of a limit that is met by little, may jump over all of it."""
     size = _MATTERS.get((effect.kind.name, name))
     if size is not None:
         return effect.values[size] if isinstance(size, str) else size

@@ -63,9 +63,9 @@ td.value, th.value { font-variant-numeric: tabular-nums; text-align: right; }
 td.mean { font-weight: 650; }
 table.narrow { max-width: 44rem; }
 td.bar { width: 30%; min-width: 8rem; }
-.gain { display: grid; grid-template-columns: 4.2rem 1fr; gap: .5rem; align-items: center;
+.gain { display: grid; grid-template-columns: 5.6rem 1fr; gap: .5rem; align-items: center;
   font-variant-numeric: tabular-nums; }
-.gain b { font-weight: 500; text-align: right; }
+.gain b { font-weight: 500; text-align: right; white-space: nowrap; }
 .gain i { display: block; height: .7rem; background: #b9c2cb; min-width: 1px;
   print-color-adjust: exact; -webkit-print-color-adjust: exact; }
 tr.named .gain i { background: var(--augmented); } tr.tied .gain i { background: #7fb0d8; }
@@ -109,7 +109,7 @@ footer { margin-top: 2.5rem; padding-bottom: 2rem; color: var(--soft); font-size
   table.stack td[data-name]::before { content: attr(data-name) ": "; color: var(--soft); }
   table.across tr { display: flex; flex-wrap: wrap; column-gap: 1.1rem; }
   table.across tbody th { flex: 0 0 100%; }
-  .gain { grid-template-columns: 3.4rem 1fr; }
+  .gain { grid-template-columns: 5.6rem 1fr; }
   .gain b { text-align: left; }
   .desk { display: none; }
   dl.facts { grid-template-columns: 1fr; gap: 0; }
