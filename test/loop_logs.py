@@ -39,19 +39,21 @@ def record(mechanism, plant, volts=0.0, noise=0.0, enable=None, seconds=SECONDS,
                enable=on)
 
 
-def pieces(mechanism, log, volts=0.02, noise=1e-6):
-    """(problem, function of a problem -> its predictor) of a log with such noise."""
-    problem = Problem(sample([log]), mechanism)
+def pieces(mechanism, log, volts=0.02, noise=1e-6, place=0.5):
+    """(problem, function of a problem -> the rows it keeps back, predictor) of a log with such
+    noise, blocks at a place of their period."""
+    problem = Problem(sample([log]), mechanism, place=place)
 
-    def with_blocks(of):
+    def kept_back(of):
         held = np.interp(log.time, of.sampled.time[of.kept], of.held.astype(float))
-        return Predictor([log], mechanism, [lambda t: np.interp(t, log.time, held) > 0.5],
-                         np.full(mechanism.joints, volts), np.full(mechanism.joints, noise))
+        return [lambda t: np.interp(t, log.time, held) > 0.5]
 
-    return problem, with_blocks
+    return problem, kept_back, Predictor([log], mechanism, kept_back(problem),
+                                         np.full(mechanism.joints, volts),
+                                         np.full(mechanism.joints, noise))
 
 
 def validation(mechanism, log, volts=0.02, noise=1e-6):
     """The windows of a log."""
-    problem, with_blocks = pieces(mechanism, log, volts, noise)
-    return Validation(problem, with_blocks(problem))
+    problem, _, predictor = pieces(mechanism, log, volts, noise)
+    return Validation(problem, predictor)

@@ -14,8 +14,8 @@ import numpy as np
 
 from puma_sim_core.effects import KINDS, Effect
 from puma_sim_core.loop.result import (DATA_FAULT, NAMED, NAMED_WITH_REMAINDER, NOTHING_MISSING,
-                                       UNNAMED, Detectable, Drawn, Errors, Explanation, Fault,
-                                       FeedbackBias, Hypothesis, Interval, NamedEffect,
+                                       PARTS, UNNAMED, Detectable, Drawn, Errors, Explanation,
+                                       Fault, FeedbackBias, Hypothesis, Interval, NamedEffect,
                                        NextExperiment, Ranked, RuledOut, Shape, StageErrors)
 from puma_sim_core.plant import Plant
 
@@ -71,7 +71,7 @@ def errors(joints: int = 3) -> dict[str, Errors]:
     if joints == 1:
         held = Errors(*(_stages(*(getattr(each, name)[1:2] for name in (
             "nominal", "retuned", "augmented", "floor"))) for each in (voltage, position)))
-    return {"fit": held, "held_out": held}
+    return dict.fromkeys(PARTS, held)
 
 
 def detectability(joints: int = 3) -> tuple[Detectable, ...]:

@@ -41,23 +41,17 @@ class Chooser:
                         retracted=(*selected.retracted, key))
 
 
-def confirmed(errors, first, second, folds=None):
-    """Names that stay, and those retracted, by errors {names: position error} in the blocks that
-    are kept back; folds: the sets of names that lower the error over all folds, None without."""
+def confirmed(errors, first, second):
+    """Names that stay, and those retracted, by errors {names: error held out}."""
     stages = [Stage([t], 8.0, None, [], None, t) for t in (first, second)]
     keys = (first.key, second.key)
     selected = Selected(fitted(), fitted(*keys), keys, stages, None)
-    mechanism = SimpleNamespace(plant=lambda theta, effects: tuple(effects))
-    validation = SimpleNamespace(
-        problem=SimpleNamespace(mechanism=mechanism),
-        position_rms=lambda plant, key: np.full(2, errors[frozenset(plant)]))
 
-    def lowers(chosen, without, weighting):
-        assert without is selected.retuned
-        return frozenset(chosen.point.effects) in folds
+    def lower(model, than):
+        assert than.fitted is selected.retuned
+        return errors[frozenset(model.fitted.point.effects)] < errors[frozenset()]
 
-    made = None if folds is None else lambda: SimpleNamespace(lowers=lowers)
-    found = _confirmed(Chooser(), selected, validation, made)
+    found = _confirmed(Chooser(), selected, SimpleNamespace(lower=lower))
     return found.keys, found.retracted
 
 
@@ -76,17 +70,6 @@ def test_the_weaker_name_goes_first_and_the_other_may_stay():
 
 def test_without_a_lower_error_there_is_no_name():
     assert confirmed(errors(1.0, 1.0, 1.1, 1.2), trial(A, 90.0), trial(B, 30.0)) == ((), (B, A))
-
-
-@pytest.mark.parametrize("folds, stays", [([{A, B}], (A, B)), ([{A}], (A,)), ([], ())])
-def test_where_a_few_windows_say_no_all_folds_are_asked(folds, stays):
-    folds = [frozenset(names) for names in folds]
-    found = confirmed(errors(1.0, 1.01, 1.01, 1.01), trial(A, 90.0), trial(B, 30.0), folds)
-    assert found[0] == stays
-
-
-def test_folds_are_not_asked_where_the_blocks_kept_back_say_yes():
-    assert confirmed(errors(1.0, 0.7, 0.8, 0.5), trial(A, 90.0), trial(B, 30.0), [])[0] == (A, B)
 
 
 @pytest.mark.parametrize("curve, names, price, remains, wanted", [
@@ -154,11 +137,6 @@ def test_an_effect_that_took_the_place_of_another_has_a_gain_of_its_own():
     selected = Selected(fitted(), fitted(B, rival), (B, rival), stages, None,
                         swapped={rival: 120.0})
     assert [selected.gain_of(key) for key in selected.keys] == [30.0, 120.0]
-
-
-def test_without_rows_held_out_nothing_is_retracted():
-    nan = float("nan")
-    assert confirmed(errors(nan, nan, nan, nan), trial(A, 9.0), trial(B, 9.0)) == ((A, B), ())
 
 
 @pytest.mark.parametrize("best, other, wanted", [

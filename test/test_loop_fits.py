@@ -30,8 +30,7 @@ HIGHEST = float(record(PENDULUM, PENDULUM.plant()).position.max())
 def test_a_fit_comes_to_the_place(text, off):
     true = parse_effect(text)
     log = record(PENDULUM, PENDULUM.plant(effects=(true,)), volts=NOISE, noise=1e-5)
-    problem, with_blocks = pieces(PENDULUM, log, NOISE, 1e-5)
-    predictor = with_blocks(problem)
+    problem, _, predictor = pieces(PENDULUM, log, NOISE, 1e-5)
     weighting = predictor.white_weighting(predictor.errors(PENDULUM.plant(effects=(true,))))
     fit = PredictionFit(predictor, weighting)
     start = Effect(true.kind, 1, {name: value + off.get(name, 0.0)
@@ -61,8 +60,7 @@ def fit_of(mechanism, effect):
     """A fit to a second of a plant with an effect, and its innovations."""
     plant = mechanism.plant(effects=(effect,))
     log = record(mechanism, plant, volts=NOISE, noise=1e-5, seconds=1.0)
-    problem, with_blocks = pieces(mechanism, log, NOISE, 1e-5)
-    predictor = with_blocks(problem)
+    problem, _, predictor = pieces(mechanism, log, NOISE, 1e-5)
     raw = predictor.errors(plant)
     return PredictionFit(predictor, predictor.white_weighting(raw)), raw
 

@@ -46,8 +46,8 @@ def test_a_line_in_time_stays_the_same_in_another_noise():
         return [0.5 * np.sin(2.0 * np.pi * 6.0 * t), 0.0, 0.0]
 
     log = record(ARM, ARM.plant(), 0.05, 2e-5, seconds=4.0, unlogged=shake)
-    problem, with_blocks = pieces(ARM, log, 0.05, 2e-5)
-    unnamed = Unnamed(with_blocks(problem), problem, seed=0)
+    problem, _, predictor = pieces(ARM, log, 0.05, 2e-5)
+    unnamed = Unnamed(predictor, problem, seed=0)
     point = Point(ARM.start, ())
     causal, found = unnamed._about(Fitted(point, np.zeros(0), 0.0, ()))
     line = next(c for c in found if c.scored.name == "line")

@@ -14,7 +14,7 @@ from puma_sim_core.loop.ingest import Log
 from puma_sim_core.loop.predictor import stable_step
 from puma_sim_core.loop.problem import Problem
 from puma_sim_core.loop.sampling import sample
-from puma_sim_core.loop.validate import FAR_OFF
+from puma_sim_core.loop.validate import FAR_OFF, position_floor, rms
 from puma_sim_core.mechanisms import load_mechanism
 from puma_sim_core.simulator import Simulator
 
@@ -26,28 +26,32 @@ def test_windows_of_the_true_plant_stay_on_the_log(name):
     mechanism = load_mechanism(name)
     seen = validation(mechanism, record(mechanism, mechanism.plant()))
     for key in ("fit", "held_out"):
-        true = seen.position_rms(mechanism.plant(), key)
+        true = rms(seen.window_errors(mechanism.plant(), key))
         # what the slopes at the start of the log leave of an error
         assert (true < 1e-4).all()
-        assert (seen.position_rms(mechanism.plant(mechanism.start * 1.1), key) > 10.0 * true).all()
+        assert (rms(seen.window_errors(mechanism.plant(mechanism.start * 1.1), key)) > 10.0 * true).all()
 
 
 def test_windows_are_apart_and_take_turns():
     mechanism = load_mechanism("pendulum")
     seen = validation(mechanism, record(mechanism, mechanism.plant()))
-    windows, = seen.windows
     time = seen.predictor.stretches[0].time[1:]
     assert not (seen.rows["fit"] & seen.rows["held_out"]).any()
-    held = np.unique(windows[seen.rows["held_out"]])
-    fit = np.unique(windows[seen.rows["fit"]])
-    assert len(held) >= 3 and len(fit) >= 8 and not set(held) & set(fit)
-    for number in range(windows.max() + 1):
-        rows = np.flatnonzero(windows == number)
-        assert (np.diff(rows) == 1).all()
-        assert 0.3 <= time[rows[-1]] - time[rows[0]] <= 0.5
-    # in time they come in the order of their numbers, so that every second one is the other turn's
-    inside = windows[windows >= 0]
-    assert (np.diff(inside) >= 0).all()
+    for key, least in (("held_out", 3), ("fit", 8)):
+        windows, = seen.windows[key]
+        assert ((windows >= 0) == seen.rows[key]).all()
+        numbers = np.unique(windows[windows >= 0])
+        assert len(numbers) >= least and len(seen.lengths(key)) == len(numbers)
+        last = None
+        for number in numbers:
+            rows = np.flatnonzero(windows == number)
+            assert (np.diff(rows) == 1).all()
+            assert 0.3 <= time[rows[-1]] - time[rows[0]] <= 0.5
+            if last is not None:
+                # in the order of time; those beside each other are in different turns
+                assert rows[0] > last[1]
+                assert rows[0] > last[1] + 100 or number % 2 != last[0] % 2
+            last = number, rows[-1]
 
 
 def test_a_window_is_the_model_by_itself_from_its_start_on():
@@ -55,11 +59,11 @@ def test_a_window_is_the_model_by_itself_from_its_start_on():
     log = record(mechanism, mechanism.plant(), volts=0.3, noise=1e-4)
     seen = validation(mechanism, log, volts=0.3, noise=1e-4)
     plant = mechanism.plant(mechanism.start * 1.05)
-    errors = seen.position_errors(plant)
-    rows = np.flatnonzero(seen.windows[0] == 4)
+    errors = seen.position_errors(plant, "fit")
+    windows, = seen.windows["fit"]
+    rows = np.flatnonzero(windows == 4)
     stretch = seen.predictor.stretches[0]
-    closed = [np.ones(len(w), dtype=bool) for w in seen.windows]
-    closed[0][seen.windows[0] % 2 == 0] = False
+    closed = [(windows < 0) | (windows % 2 != 0)]
     tracked = seen.predictor.tracked(plant, closed)[0]
     # by hand: from the corrected state of the row before, by the simulator alone
     k = rows[0] - 1
@@ -80,8 +84,8 @@ def test_windows_know_where_in_its_play_a_gear_is():
     play = parse_effect("backlash:joint=2,gap=0.002")
     plant = mechanism.plant(mechanism.start, (play,))
     seen = validation(mechanism, record(mechanism, plant, seconds=6.0))
-    true = seen.position_rms(plant, "held_out")
-    rigid = seen.position_rms(mechanism.plant(), "held_out")
+    true = rms(seen.window_errors(plant, "held_out"))
+    rigid = rms(seen.window_errors(mechanism.plant(), "held_out"))
     assert true[1] < 0.1 * rigid[1]
 
 
@@ -91,9 +95,9 @@ def test_windows_know_when_the_drive_is_off():
     enable = (np.mod(time, 2.0) < 1.5).astype(float)
     log = record(mechanism, mechanism.plant(), enable=enable)
     blind = Log("own", log.time, log.voltage, log.position)
-    aware = validation(mechanism, log).position_rms(mechanism.plant(), "fit")
+    aware = rms(validation(mechanism, log).window_errors(mechanism.plant(), "fit"))
     assert aware[0] < 1e-4
-    assert validation(mechanism, blind).position_rms(mechanism.plant(), "fit")[0] > 0.02
+    assert rms(validation(mechanism, blind).window_errors(mechanism.plant(), "fit"))[0] > 0.02
 
 
 def test_the_floor_is_what_a_true_model_reaches():
@@ -109,7 +113,8 @@ def test_the_floor_is_what_a_true_model_reaches():
         assert (found[0] < room * volts).all() and (found[0] > volts / room).all()
         assert (found[1] <= noise).all() and (found[1] > 0.8 * noise).all()
         for key in ("fit", "held_out"):
-            ratio = seen.position_rms(mechanism.plant(), key) / seen.position_floor(key, *found)
+            floor = position_floor(seen.predictor, seen.lengths(key), *found)
+            ratio = rms(seen.window_errors(mechanism.plant(), key)) / floor
             assert (ratio > 1.0 / room).all() and (ratio < room).all()
 
 
@@ -121,7 +126,7 @@ def test_a_state_that_does_not_stay_finite_counts_as_far_off():
     seen = validation(mechanism, log)
     seen.predictor.stretches[0].voltage[2000:] = wild.voltage[2000:2000 + len(
         seen.predictor.stretches[0].voltage) - 2000]
-    assert 0.5 * FAR_OFF < seen.position_rms(mechanism.plant(), "fit")[0] <= FAR_OFF
+    assert 0.5 * FAR_OFF < rms(seen.window_errors(mechanism.plant(), "fit"))[0] <= FAR_OFF
 
 
 def test_blocks_lie_where_rows_kept_back_are_like_the_others():

@@ -36,13 +36,19 @@ def report(verdict, *effects, shape=None, faults=(), augmented=1.0, retuned=2.0)
                 "floor": [0.5] * 3}
     return {"verdict": verdict, "effects": list(effects), "shape": shape, "ranking": [],
             "faults": [{"channel": c, "row": r, "what": "x"} for c, r in faults],
-            "errors": {"fit": None, "held_out": {"position_rms": position}}}
+            "errors": {"fit": None, **{part: {"position_rms": position}
+                                      for part in ("held_out", "unseen")}}}
 
 
 def answer(*effects, outside=None, faults=()):
     return {"effects": list(effects), "outside": outside, "faults": list(faults), "size": 3.0,
             "recipe": {"fault": "gap" if faults else None}, "sampling_ms": 1.0,
             "motion": "fourier", "feedback": True, "dither": None}
+
+
+def reached(errors):
+    """What the true structure leaves."""
+    return {"held_out": errors, "unseen": errors}
 
 
 def outcome(answered, reported, **more):
@@ -127,7 +133,7 @@ def test_coverage_counts_what_was_fitted_and_named_right():
 def test_single_effects():
     answered = answer(effect("coulomb_friction", 2, 4.0))
     row = row_of(outcome(answered, report("NAMED", said("coulomb_friction", 2)),
-                         true_structure=[0.8] * 3))
+                         true_structure={"held_out": [0.8] * 3, "unseen": [0.9] * 3}))
     assert row["kind"] == "single" and row["size"] == 4.0
     assert row["top1"] and row["exact"] and row["joint_right"] and not row["needless"]
     assert row["ratio"] == pytest.approx(1.25) and row["worse"] is False
@@ -135,12 +141,14 @@ def test_single_effects():
     row = row_of(outcome(answered, report("NAMED", said("coulomb_friction", 3),
                                           said("voltage_offset", 2), augmented=2.5)))
     assert row["top1"] and not row["exact"] and not row["joint_right"] and row["needless"]
-    assert row["worse"] is True and row["only_here"] and row["ratio"] is None
+    assert row["worse"] is True and row["ratio"] is None
+    assert row["unseen_worse"] is True and row["only_here"]
     unlucky = row_of(outcome(answered, report("NAMED", said("coulomb_friction", 2), augmented=2.5),
-                             true_structure=[2.4] * 3))
-    assert unlucky["worse"] is True and not unlucky["only_here"]
+                             true_structure={"held_out": [1.9] * 3, "unseen": [2.4] * 3}))
+    assert unlucky["unseen_worse"] is True and not unlucky["only_here"]
     row = row_of(outcome(answered, report("NOTHING_MISSING")))
-    assert not row["top1"] and not row["named"] and row["worse"] is None
+    assert not row["top1"] and not row["named"]
+    assert row["worse"] is None and row["unseen_worse"] is None and not row["only_here"]
 
 
 def test_nothing_missing_pairs_and_outsiders():
@@ -167,9 +175,14 @@ def test_a_baseline_that_cannot_be_run_has_no_finite_error():
     answered = answer(effect("coulomb_friction", 2, 4.0))
     made = {"forward": {"names": [["coulomb_friction", 2], ["payload", None]],
                         "position_rms": None}}
-    row = row_of(outcome(answered, report("NOTHING_MISSING"), true_structure=[1.0] * 3,
+    row = row_of(outcome(answered, report("NOTHING_MISSING"), true_structure=reached([1.0] * 3),
                          baselines=made))
     forward = row["baselines"]["forward"]
+    made["forward"]["position_rms"] = [1.2] * 3
+    run = row_of(outcome(answered, report("NOTHING_MISSING"), baselines=made,
+                         true_structure={"held_out": [1.0] * 3, "unseen": [0.8] * 3}))
+    # its parameters were fitted to all of the log but what no choice has seen
+    assert run["baselines"]["forward"]["ratio"] == pytest.approx(1.5)
     assert forward["top1"] and forward["needless"] and forward["ratio"] == math.inf
 
 
@@ -182,8 +195,8 @@ def test_the_table_counts_what_the_rows_say():
     good = answer(effect("coulomb_friction", 2, 4.0))
     small = answer(effect("coulomb_friction", 2, 0.3))
     outcomes = [
-        outcome(good, report("NAMED", said("coulomb_friction", 2)), true_structure=[1.0] * 3),
-        outcome(good, report("NAMED", said("payload", None)), true_structure=[0.5] * 3),
+        outcome(good, report("NAMED", said("coulomb_friction", 2)), true_structure=reached([1.0] * 3)),
+        outcome(good, report("NAMED", said("payload", None)), true_structure=reached([0.5] * 3)),
         outcome(small, report("NOTHING_MISSING")),
         outcome(answer(), report("NOTHING_MISSING")),
         outcome(answer(faults=[{"channel": "time", "row": 9, "what": "gap"}]),

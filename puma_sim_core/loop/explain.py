@@ -12,13 +12,13 @@ import numpy as np
 
 from .. import __version__
 from ..effects import KINDS
-from ..errors import NonFiniteStateError, RecordingError
+from ..errors import RecordingError
 from ..mechanisms import load_mechanism
 from . import feedback, intervals, outcome
 from .causal import CausalScreen
-from .cross_validation import Folds
 from .detect import detectable
 from .gate import check
+from .held_out import HeldOut
 from .ingest import Log, read_log
 from .prediction import Point, PredictionFit
 from .predictor import Predictor
@@ -28,7 +28,7 @@ from .sampling import sample
 from .search import Search
 from .selection import LEAST_GAIN, Selected, Selection
 from .unnamed import Unnamed
-from .validate import Validation, rms
+from .validate import rms
 from .wrong_zero import wrong_zeros
 
 #: least and greatest noise of a row's voltage that the observer reckons with, in volts of a
@@ -103,7 +103,7 @@ class Analysis:
     predictor: Predictor
     selection: Selection
     selected: object
-    validation: Validation
+    held_out: HeldOut
     seed: int
     progress: Callable
     source: dict = field(default_factory=dict)
@@ -127,18 +127,16 @@ class Analysis:
         bank = search.bank(retuned.theta)
         noise = _row_noise(search, retuned)
 
-        def with_blocks(of: Problem) -> Predictor:
-            return Predictor(logs, mechanism, [_held(of, n) for n in range(len(logs))], noise,
-                             sampled.position_noise)
+        def kept_back(of: Problem) -> list:
+            return [_held(of, n) for n in range(len(logs))]
 
-        predictor = with_blocks(problem)
+        predictor = Predictor(logs, mechanism, kept_back(problem), noise, sampled.position_noise)
         selection = Selection(search, predictor, library, seed, progress)
         selected = selection.run(retuned.theta, bank)
         progress("validating", 0.86)
-        validation = Validation(problem, predictor)
-        folds = None if kept else lambda: Folds(problem, with_blocks)
-        selected = _confirmed(selection, selected, validation, folds)
-        return cls(logs, mechanism, problem, search, predictor, selection, selected, validation,
+        held_out = HeldOut.of(problem, predictor, kept_back)
+        selected = _confirmed(selection, selected, held_out)
+        return cls(logs, mechanism, problem, search, predictor, selection, selected, held_out,
                    seed, progress)
 
     def explanation(self, notes, begin, common) -> Explanation:
@@ -159,18 +157,30 @@ class Analysis:
                 row = detectable(name, None if j is None else j + 1, kind, pairs, threshold)
                 rows.append(replace(row, unit=m.unit(row.unit)))
         self.progress("errors", 0.96)
-        points = {"nominal": Point(m.start, ()), "retuned": s.retuned.point,
-                  "augmented": final.point}
-        plants = {name: m.plant(point.theta, point.effects) for name, point in points.items()}
-        residuals = {name: self._volts(plant) for name, plant in plants.items()}
-        model = plants["augmented"]
-        floor = self._less(final.point) * self.predictor.floor_in_volts(p.sampled.cutoffs[1])
-        errors = self.validation.errors(plants, residuals, floor)
+        residuals, errors = self._errors()
+        model = m.plant(final.point.theta, final.point.effects)
         linear = p.linear(final.point.theta, final.point.effects)
         bias = feedback.test(p, self.search.settle(linear, ()))
         spread = intervals.intervals(fit, final)
         return outcome.compose(self, errors, residuals, shapes, chance, rows, bias, spread, model,
                                notes, begin, common)
+
+    def _errors(self) -> tuple[dict, dict]:
+        """(N, J) voltages [V] that the nominal, the retuned and the augmented model lack, and the
+        tables of errors (step 7)."""
+        p, s, start = self.predictor, self.selected, Point(self.mechanism.start, ())
+        fitted = self.held_out.folds[0].validation
+        plants = {name: self.mechanism.plant(point.theta, point.effects) for name, point in (
+            ("nominal", start), ("retuned", s.retuned.point), ("augmented", s.final.point))}
+        residuals = {name: fitted.volts(plant) for name, plant in plants.items()}
+        floor = self._less(s.final.point) * p.floor_in_volts(self.problem.sampled.cutoffs[1])
+        left = np.where(p.fit_rows, p.errors(plants["augmented"]), np.nan)
+        volts, sensed = p.noise_behind(np.nanvar(left, axis=0), self.problem.sampled.position_noise)
+        # what a remainder leaves in the innovations is no noise, nor is all that came before a name
+        noise = np.minimum(volts, p.volts), sensed
+        models = {"nominal": start, "retuned": s.retuned_model, "augmented": s.model}
+        return residuals, {"fit": fitted.errors(plants, residuals, floor, noise),
+                           **self.held_out.errors(models, floor, noise)}
 
     def _unnamed(self) -> tuple[list, float]:
         """Free curves against what is left, and what chance gives any of them; names give way to a
@@ -197,36 +207,16 @@ class Analysis:
     def _left(self) -> np.ndarray:
         """(J,) residual of the rows to fit after what was chosen, in terms of its floor."""
         point, cutoff = self.selected.final.point, self.problem.sampled.cutoffs[1]
-        volts = self._volts(self.mechanism.plant(point.theta, point.effects))
+        volts = self.held_out.folds[0].validation.volts(
+            self.mechanism.plant(point.theta, point.effects))
         floor = self._less(point) * self.predictor.floor_in_volts(cutoff)
         return rms(volts, self.predictor.fit_rows) / floor
 
-    def _volts(self, plant) -> np.ndarray:
-        """(N, J) voltages [V] that a plant lacks along the logs, at the rows of the observer."""
-        try:
-            errors = self.predictor.errors(plant)
-        except NonFiniteStateError:
-            errors = np.full(self.predictor.fit_rows.shape, np.nan)
-        return self.predictor.in_volts(errors, self.problem.sampled.cutoffs[1])
 
-
-def _confirmed(selection: Selection, selected, validation: Validation, folds) -> Selected:
+def _confirmed(selection: Selection, selected: Selected, held_out: HeldOut) -> Selected:
     """The selection without the effects, weakest first, that do not lower the error held out (step
-    7): of the windows in the blocks kept back or, where those few say so, of the windows of all
-    `folds` (a function that makes them; None: of logs that are kept back as a whole)."""
-    mechanism = validation.problem.mechanism
-
-    def held_out(fitted) -> float:
-        plant = mechanism.plant(fitted.point.theta, fitted.point.effects)
-        return float(np.sqrt((validation.position_rms(plant, "held_out") ** 2).mean()))
-
-    limit, made = held_out(selected.retuned), None
-    # without rows held out there is nothing to be seen, and NaN compares with nothing
-    while selected.keys and held_out(selected.final) >= limit:
-        if folds is not None:
-            made = made or folds()
-            if made.lowers(selected.final, selected.retuned, selected.weighting):
-                break
+    7)."""
+    while selected.keys and not held_out.lower(selected.model, selected.retuned_model):
         selected = selection.without(selected, min(selected.keys, key=selected.gain_of))
     return selected
 

@@ -60,6 +60,11 @@ class Stretch:
     fit: np.ndarray
     held: np.ndarray
 
+    def keeping(self, held) -> Stretch:
+        """The same log with the rows kept back that a function of times (n,) [s] says."""
+        usable, away = self.fit | self.held, held(self.time[1:])[:, None]
+        return replace(self, fit=usable & ~away, held=usable & away)
+
 
 class Predictor:
     """Logs with a mechanism, ready to be predicted by plants.
@@ -116,13 +121,12 @@ class Predictor:
             enable = None
         time = log.time[first:]
         counts = time[1:] > log.time[0] + SETTLING + 0.03
-        away = held(time[1:])
         usable = np.repeat(counts[:, None], log.position.shape[1], axis=1)
         return Stretch(time, np.ascontiguousarray(log.voltage[first:]),
                        np.ascontiguousarray(log.position[first:]),
                        None if enable is None else enable[first:],
                        (position, velocity, acceleration), first,
-                       usable & ~away[:, None], usable & away[:, None])
+                       usable, np.zeros_like(usable)).keeping(held)
 
     def _gain(self, volts, noise, step) -> np.ndarray:
         """(J, 3) steady Kalman gain of each joint by itself, its inertia at its mean."""
@@ -244,6 +248,13 @@ class Predictor:
         driven, seen = (self.open_loop_variance(*pair, 1)[0] for pair in ((one, none), (none, one)))
         sensed = np.minimum(noise ** 2, variance / seen)
         return np.sqrt(np.maximum(variance - seen * sensed, 0.0) / driven), np.sqrt(sensed)
+
+    def keeping(self, held) -> Predictor:
+        """The same logs with other rows kept back; derivatives are remembered for both. held: as
+        for the constructor."""
+        other = copy(self)
+        other.stretches = [s.keeping(each) for s, each in zip(self.stretches, held)]
+        return other
 
     def less(self, volts: np.ndarray) -> Predictor:
         """The same logs with voltages (N, J) [V] taken from those that the plant gets."""

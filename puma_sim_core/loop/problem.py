@@ -23,7 +23,7 @@ from .sampling import Sampled
 #: this share of its greatest speed, for as long as this [s]
 _REST_NOISE, _REST_SHARE, _REST_TIME = 4.0, 2e-3, 0.12
 #: share of the record that is kept back, and the length of a block of it [s]
-_HELD_SHARE, _HELD_BLOCK = 0.25, 0.8
+HELD_SHARE, _HELD_BLOCK = 0.25, 0.8
 #: where in its period a block lies, the usual place first; power of the residual there, over that
 #: of the other rows, from which on another place is looked for
 _PLACES, _UNLIKE = (0.5, 0.2, 0.8, 0.35, 0.65), 2.0
@@ -133,14 +133,15 @@ class Problem:
         s = self.sampled
         held = np.isin(self.segment, list(held_segments))
         if self.hold_back:
-            period = _HELD_BLOCK / _HELD_SHARE
+            period = _HELD_BLOCK / HELD_SHARE
             for rows in self.stretches:
                 time = s.time[self.kept[rows]]
                 length = time[-1] - time[0]
                 blocks = max(1, int(round(length / period)))
                 phase = (time - time[0]) / max(length, 1e-9) * blocks
-                inside = np.mod(phase, 1.0)
-                held[rows] = np.abs(inside - self.place) < 0.5 * _HELD_SHARE
+                away = np.abs(np.mod(phase, 1.0) - self.place)
+                # a place at the end of its period goes on at the start of the next
+                held[rows] = np.minimum(away, 1.0 - away) < 0.5 * HELD_SHARE
         guard = np.zeros(len(held), dtype=bool)
         reach = int(np.ceil(_GUARD / (s.cutoffs[1] * s.step * s.every)))
         for rows in self.stretches:
@@ -208,7 +209,6 @@ class Problem:
         torque = m.total_torque(theta, q, qd, qdd)
         dtorque = m.torque_jacobian(theta, q, qd, qdd)
         kept = self.kept
-        p = dtorque.shape[2]
         T0, T1 = s.second(torque)[kept], s.second(torque, order=1)[kept]
         D0, D1 = s.second(dtorque)[kept], s.second(dtorque, order=1)[kept]
         w = s.second(s.enable * qd)[kept]

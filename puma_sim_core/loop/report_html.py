@@ -199,7 +199,7 @@ def _residual(e: Explanation) -> str:
         parts += ["<h3>Against the variable that matters</h3>\n", _drawn(against, "against"),
                   _legend([("points", figures.COLOURS[name], f"{name}, dots; mean, line")
                            for name in ("retuned", "augmented")])]
-    shaded = [("spans", figures.HELD_OUT, "held-out rows, not used to fit")] if np.any(
+    shaded = [("spans", figures.HELD_OUT, "kept back from the choice and the final fit")] if np.any(
         np.asarray(e.drawn.held_out) > 0.5) else []
     parts += ["<h3>In time</h3>\n", _drawn(in_time, "time"),
               _legend([*(("line", figures.COLOURS[name], _WORDS[name]) for name in stages),
@@ -274,8 +274,9 @@ def _parameters(e: Explanation) -> str:
 def _logs(e: Explanation) -> str:
     fitted = "<br>".join(text(name) for name in e.logs) or DASH
     kept = "<br>".join(text(name) for name in e.held_out_logs)
-    facts = [("Fitted", fitted), ("Held out", kept or ("blocks of the same log" if "held_out" in
-                                                       e.errors else DASH)),
+    own = ("quarters of the same log, each by parameters fitted to the others"
+           if "held_out" in e.errors else DASH)
+    facts = [("Fitted", fitted), ("Held out", kept or own),
              ("Mechanism", mechanism(e)), ("Seed", str(e.seed)),
              ("Version", text(e.version or __version__))]
     if e.seconds and math.isfinite(e.seconds):

@@ -16,8 +16,8 @@ import numpy as np
 
 from .. import __version__
 from ..json_text import json_text
-from .result import (NOT_EXCITED, Detectable, Errors, Explanation, FeedbackBias, Hypothesis,
-                     NamedEffect, NextExperiment, Ranked, RuledOut, Shape, StageErrors)
+from .result import (NOT_EXCITED, PARTS, Detectable, Errors, Explanation, FeedbackBias,
+                     Hypothesis, NamedEffect, NextExperiment, Ranked, RuledOut, Shape, StageErrors)
 
 #: raised when the layout of the file changes
 FORMAT = 1
@@ -36,7 +36,7 @@ def report_mapping(explanation: Explanation) -> dict[str, Any]:
         "verdict": e.verdict,
         "sentence": e.sentence,
         "effects": [_effect(each) for each in e.effects],
-        "errors": {part: _errors(e.errors.get(part)) for part in ("fit", "held_out")},
+        "errors": {part: _errors(e.errors.get(part)) for part in PARTS},
         "shape": None if e.shape is None else _shape(e.shape),
         "faults": [{"channel": f.channel, "row": f.row, "what": f.what} for f in e.faults],
         "detectability": [_detectable(each) for each in e.detectability],

@@ -45,7 +45,9 @@ def parameters_found(effect: NamedEffect) -> str:
 def errors(explanation: Explanation, quantity: str, base: str, caption: str) -> str:
     """Errors of one quantity, held-out rows first: a column for each stage, a row for a joint."""
     parts = [(words, explanation.errors[part]) for part, words in (
-        ("held_out", "Held-out data, not used to fit"), ("fit", "Fitted data"))
+        ("held_out", "Held-out data, not used to fit"),
+        ("unseen", "Of that, what the choice of effects has not seen either"),
+        ("fit", "Fitted data"))
         if part in explanation.errors]
     everything = [np.ravel(getattr(getattr(each, quantity), stage))
                   for _, each in parts for stage in STAGES]

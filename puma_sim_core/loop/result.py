@@ -17,6 +17,10 @@ VERDICTS = (NOTHING_MISSING, NAMED, NAMED_WITH_REMAINDER, UNNAMED, DATA_FAULT)
 
 NOT_EXCITED = "NOT_EXCITED"
 
+#: rows that errors are measured at: those fitted to, those that parameters were not fitted to, and
+#: of these the ones that the choice of the effects has not seen either
+PARTS = ("fit", "held_out", "unseen")
+
 
 @dataclass(frozen=True)
 class Fault:
@@ -181,7 +185,7 @@ class Explanation:
     verdict: str
     sentence: str
     effects: tuple[NamedEffect, ...] = ()
-    errors: dict[str, Errors] = field(default_factory=dict)  # "fit", "held_out"
+    errors: dict[str, Errors] = field(default_factory=dict)  # of some of `PARTS`
     shape: Shape | None = None
     faults: tuple[Fault, ...] = ()
     detectability: tuple[Detectable, ...] = ()

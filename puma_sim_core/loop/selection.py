@@ -18,6 +18,7 @@ import numpy as np
 from . import colour
 from .causal import CausalScreen
 from .evidence import Scored
+from .held_out import Model
 from .parallel import each
 from .prediction import Fitted, Point, PredictionFit
 from .predictor import Predictor
@@ -88,6 +89,16 @@ class Selected:
     #: gain [nat] over the model without it of each effect that took the place of another
     swapped: dict = field(default_factory=dict)
     retracted: tuple = ()
+
+    @property
+    def model(self) -> Model:
+        """The final model."""
+        return Model(self.final, self.weighting)
+
+    @property
+    def retuned_model(self) -> Model:
+        """The model with its parameters fitted and no more."""
+        return Model(self.retuned, self.stages[0].weighting if self.keys else self.weighting)
 
     def entry(self, key: tuple) -> Trial | None:
         """The trial by which a chosen effect entered; None of one that replaced another."""

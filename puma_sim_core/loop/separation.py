@@ -24,7 +24,7 @@ from ..errors import NonFiniteStateError, ParameterError
 from ..mechanisms import Mechanism
 from ..simulator import SERVO_PERIOD, Simulator
 from . import filters
-from .excitation import Builder, Limits, Motion, signals_of, voltages
+from .excitation import Builder, Motion, signals_of, voltages
 
 #: noise of the voltage [V] within the second filter's band
 NOISE = 0.05

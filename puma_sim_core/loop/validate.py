@@ -30,37 +30,36 @@ class Validation:
     def __init__(self, problem, predictor):
         self.problem = problem
         self.predictor = predictor
-        #: for each log: the number of the window that a row of the observer is in, -1 for none
-        self.windows: list[np.ndarray] = []
-        masks: dict[str, list[np.ndarray]] = {"fit": [], "held_out": []}
-        count = 0
+        #: for "fit" and "held_out", for each log: the number of the window that a row of the
+        #: observer is in, -1 for none
+        self.windows: dict[str, list[np.ndarray]] = {"fit": [], "held_out": []}
         for number, stretch in enumerate(predictor.stretches):
             time = stretch.time[1:]
-            inside = np.full(len(time), -1)
             own = problem.segment == number
             kept, held = problem.sampled.time[problem.kept[own]], problem.held[own]
-            spans = sorted((*span, key) for key, chosen in (("fit", ~held), ("held_out", held))
-                           for span in _spans(kept, chosen))
-            for mask in masks.values():
-                mask.append(np.zeros(len(time), dtype=bool))
-            for low, high, key in spans:
-                for rows in _windows(time, max(low, float(time[0]) + SETTLING), high):
-                    inside[rows] = count
-                    masks[key][-1][rows] = True
-                    count += 1
-            self.windows.append(inside)
-        #: rows (N,) of the observer in the windows of "fit" and of "held_out"
-        self.rows = {key: np.concatenate(parts) for key, parts in masks.items()}
+            for key, chosen in (("fit", ~held), ("held_out", held)):
+                spans = [_windows(time, max(low, float(time[0]) + SETTLING), high)
+                         for low, high in _spans(kept, chosen)]
+                inside = np.full(len(time), -1)
+                for span in spans:
+                    # those beside each other take turns; the first of every span is even
+                    first = inside.max() + 2 - inside.max() % 2 if inside.max() >= 0 else 0
+                    for n, rows in enumerate(span):
+                        inside[rows] = first + n
+                self.windows[key].append(inside)
+        #: rows (N,) of the observer in the windows of each
+        self.rows = {key: np.concatenate(parts) >= 0 for key, parts in self.windows.items()}
 
-    def position_errors(self, plant) -> np.ndarray:
-        """(N, J) open-loop errors [rad or m] at the observer's rows, 0 outside the windows.
+    def position_errors(self, plant, key: str) -> np.ndarray:
+        """(N, J) open-loop errors [rad or m] at the observer's rows, 0 outside the windows of "fit"
+        or "held_out".
 
         Windows take turns, so that before each the observer has had time to come back.
         """
         p = self.predictor
         total = np.zeros(p.fit_rows.shape)
         for turn in (0, 1):
-            free = [(w >= 0) & (w % 2 == turn) for w in self.windows]
+            free = [(w >= 0) & (w % 2 == turn) for w in self.windows[key]]
             open_loop = np.concatenate(free)
             if not open_loop.any():
                 continue
@@ -72,50 +71,52 @@ class Validation:
             total[open_loop] = np.clip(errors[open_loop], -FAR_OFF, FAR_OFF)
         return total
 
-    def position_rms(self, plant, key: str) -> np.ndarray:
-        """(J,) of the open-loop windows of "fit" or "held_out"; NaN without any."""
-        return self._rms(self.position_errors(plant), key)
+    def window_errors(self, plant, key: str) -> np.ndarray:
+        """(n, J) open-loop errors [rad or m] at the rows of the windows alone."""
+        return self.position_errors(plant, key)[self.rows[key]]
 
-    def _rms(self, errors, key) -> np.ndarray:
-        rows = self.rows[key]
-        return (np.sqrt((errors[rows] ** 2).mean(axis=0)) if rows.any()
-                else np.full(errors.shape[1], np.nan))
+    def volts(self, plant) -> np.ndarray:
+        """(N, J) voltages [V] that a plant lacks along the logs, at the rows of the observer."""
+        try:
+            errors = self.predictor.errors(plant)
+        except NonFiniteStateError:
+            errors = np.full(self.predictor.fit_rows.shape, np.nan)
+        return self.predictor.in_volts(errors, self.problem.sampled.cutoffs[1])
 
-    def position_floor(self, key: str, volts: np.ndarray, noise: np.ndarray) -> np.ndarray:
-        """(J,) what noise alone makes of the windows, each joint by itself: that of the voltages
-        volts (J,) [V a row] and of the sensor's positions noise (J,), before the start, which they
-        make uncertain, and after it. NaN without windows."""
-        number = np.concatenate(self.windows)
-        lengths = np.unique(number[self.rows[key]], return_counts=True)[1]
-        if not len(lengths):
-            return np.full(len(noise), np.nan)
-        spread = self.predictor.open_loop_variance(volts, noise, int(lengths.max()))
-        total = np.cumsum(spread, axis=0)[lengths - 1].sum(axis=0)
-        return np.sqrt(total / lengths.sum())
+    def errors(self, plants: dict, residuals: dict, floor: np.ndarray, noise) -> Errors:
+        """The table of the rows that were fitted.
 
-    def errors(self, plants: dict, residuals: dict, floor: np.ndarray) -> dict[str, Errors]:
-        """Both tables.
-
-        plants, residuals : "nominal", "retuned", "augmented" -> plant, and the voltages (N, J) [V]
-        that it lacks at the observer's rows; floor (J,): noise of the residual [V].
+        plants, residuals : "nominal", "retuned", "augmented" -> plant, and `volts` of it; floor
+        (J,): noise of the residual [V]; noise: ((J,), (J,)), as for `position_floor`.
         """
-        p, result = self.predictor, {}
-        left = np.where(p.fit_rows, p.errors(plants["augmented"]), np.nan)
-        volts, noise = p.noise_behind(np.nanvar(left, axis=0), self.problem.sampled.position_noise)
-        # what a remainder leaves in the innovations is no noise, nor is all that came before a name
-        volts = np.minimum(volts, p.volts)
-        open_loop = {name: self.position_errors(plant) for name, plant in plants.items()}
-        for key, rows in (("fit", p.fit_rows), ("held_out", p.held_rows)):
-            position = {name: self._rms(errors, key) for name, errors in open_loop.items()}
-            voltage = {name: rms(values, rows) for name, values in residuals.items()}
-            result[key] = Errors(
-                StageErrors(**voltage, floor=floor),
-                StageErrors(**position, floor=self.position_floor(key, volts, noise)))
-        return result
+        windows = {name: self.window_errors(plant, "fit") for name, plant in plants.items()}
+        return Errors(
+            StageErrors(**{name: rms(values, self.predictor.fit_rows)
+                           for name, values in residuals.items()}, floor=floor),
+            StageErrors(**{name: rms(values) for name, values in windows.items()},
+                        floor=position_floor(self.predictor, self.lengths("fit"), *noise)))
+
+    def lengths(self, key: str) -> np.ndarray:
+        """(w,) rows of each window."""
+        counts = [np.unique(inside[inside >= 0], return_counts=True)[1]
+                  for inside in self.windows[key]]
+        return np.concatenate(counts)
 
 
-def rms(values, rows) -> np.ndarray:
-    """(J,) root mean squares of the rows (N, J) that count; NaN without any."""
+def position_floor(predictor, lengths, volts, noise) -> np.ndarray:
+    """(J,) what noise alone makes of windows of so many rows (w,), each joint by itself: that of
+    the voltages volts (J,) [V a row] and of the sensor's positions noise (J,), before the start,
+    which they make uncertain, and after it. NaN without windows."""
+    if not len(lengths):
+        return np.full(len(noise), np.nan)
+    spread = predictor.open_loop_variance(volts, noise, int(lengths.max()))
+    total = np.cumsum(spread, axis=0)[lengths - 1].sum(axis=0)
+    return np.sqrt(total / lengths.sum())
+
+
+def rms(values, rows=None) -> np.ndarray:
+    """(J,) root mean squares of the rows (N, J) that count, None: of all; NaN without any."""
+    rows = np.ones(values.shape, dtype=bool) if rows is None else rows
     return np.array([np.sqrt((values[rows[:, j], j] ** 2).mean()) if rows[:, j].any() else np.nan
                      for j in range(values.shape[1])])
 

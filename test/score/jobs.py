@@ -32,7 +32,7 @@ def work(recipe, folder, small: bool = True) -> dict:
     Returns
     -------
     record, answer; report (without its long tables) or error (text); seconds of `explain`,
-    megabytes at most so far; true_structure (J,) and baselines with held-out position errors [rad].
+    megabytes at most so far; true_structure and baselines with position errors [rad] held out.
     """
     path, answer = generate.make(recipe, folder)
     answer.pop("seconds_to_make")
@@ -53,7 +53,7 @@ def work(recipe, folder, small: bool = True) -> dict:
         if kind_of(answer) != "fault":
             bench = Bench(path)
             outcome["baselines"] = baselines(bench)
-            if answer["effects"]:
+            if answer["effects"] or kind_of(answer) == "nothing":
                 outcome["true_structure"] = bench.true_structure(answer)
     finally:
         path.unlink()

@@ -17,6 +17,7 @@ from puma_sim_core.effects.friction import VISCOUS
 from puma_sim_core.errors import PumaSimError
 from puma_sim_core.loop import colour
 from puma_sim_core.loop.explain import _held, _row_noise
+from puma_sim_core.loop.held_out import HeldOut, Model
 from puma_sim_core.loop.ingest import read_log
 from puma_sim_core.loop.prediction import Point, PredictionFit
 from puma_sim_core.loop.predictor import Predictor
@@ -24,7 +25,6 @@ from puma_sim_core.loop.problem import Problem
 from puma_sim_core.loop.sampling import sample
 from puma_sim_core.loop.search import Search
 from puma_sim_core.loop.trials import Trials
-from puma_sim_core.loop.validate import Validation
 from puma_sim_core.mechanisms import load_mechanism
 from puma_sim_core.plant import Plant
 
@@ -49,10 +49,11 @@ class Bench:
         self.predictor = Predictor([log], m, [_held(self.problem, 0)],
                                    _row_noise(self.search, self.retuned),
                                    self.problem.sampled.position_noise)
-        self.validation = Validation(self.problem, self.predictor)
+        self.held_out = HeldOut.of(self.problem, self.predictor, lambda of: [_held(of, 0)])
 
-    def true_structure(self, answer: dict) -> list[float] | None:
-        """(J,) position errors [rad] of the true structure; None where it cannot be run."""
+    def true_structure(self, answer: dict) -> dict[str, list[float] | None]:
+        """(J,) position errors [rad] of the true structure, as a report gives them ("held_out"), and
+        in the blocks alone that no choice has seen ("unseen"); None where it cannot be run."""
         m, predictor = self.mechanism, self.predictor
         try:
             true = m.of_plant(_true_arm(m, answer["parameters"]))
@@ -65,22 +66,27 @@ class Bench:
                 fitted = PredictionFit(predictor, weighting).run(
                     point, trials.free(point, ()), rounds=_ROUNDS)
                 point = fitted.point
+                model = Model(fitted, weighting)
                 weighting = colour.weighting(
                     predictor, predictor.errors(m.plant(point.theta, point.effects)))
-            return self.position_rms(point.theta, point.effects)
+            return {"held_out": _finite(self.held_out.position_rms(model,
+                                                                   self.held_out.told(model))),
+                    "unseen": _finite(self.held_out.unseen(point))}
+        except PumaSimError:
+            return {"held_out": None, "unseen": None}
+
+    def position_rms(self, theta, effects) -> list[float] | None:
+        """(J,) open-loop position errors [rad] in the blocks that no choice has seen; None where a
+        model cannot be run."""
+        try:
+            with np.errstate(all="ignore"):
+                return _finite(self.held_out.unseen(Point(theta, tuple(effects))))
         except PumaSimError:
             return None
 
-    def position_rms(self, theta, effects) -> list[float] | None:
-        """(J,) open-loop position errors [rad] on what is kept back; None where a model cannot be
-        run."""
-        try:
-            plant = self.mechanism.plant(theta, effects)
-            with np.errstate(all="ignore"):
-                errors = self.validation.position_rms(plant, "held_out")
-        except PumaSimError:
-            return None
-        return errors.tolist() if np.isfinite(errors).all() else None
+
+def _finite(errors) -> list[float] | None:
+    return errors.tolist() if np.isfinite(errors).all() else None
 
 
 def _true_arm(mechanism, p: dict) -> Plant:

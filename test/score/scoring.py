@@ -108,9 +108,9 @@ def over_joints(values) -> float | None:
     return math.sqrt(sum(value**2 for value in values) / len(values))
 
 
-def held_out(report: dict, stage: str) -> float | None:
-    """Open-loop position error [rad] of a stage on what was kept back."""
-    errors = report["errors"]["held_out"]
+def held_out(report: dict, stage: str, part: str = "held_out") -> float | None:
+    """Open-loop position error [rad] of a stage on a part of what was kept back."""
+    errors = report["errors"][part]
     return None if errors is None else over_joints(errors["position_rms"][stage])
 
 
@@ -134,7 +134,7 @@ def row_of(outcome: dict) -> dict:
         return row
     if report is None:
         report = {"verdict": "ERROR", "effects": [], "shape": None,
-                  "errors": {"held_out": None}}
+                  "errors": {"held_out": None, "unseen": None}}
     said = row["said"]
     row["named"] = bool(said)
     if kind == "nothing":
@@ -163,15 +163,18 @@ def row_of(outcome: dict) -> dict:
 def _errors(row: dict, outcome: dict, report: dict, truth: list[tuple]) -> None:
     """Held-out errors over that of the true structure, ours and the baselines'."""
     ours, retuned = held_out(report, "augmented"), held_out(report, "retuned")
-    true = over_joints(outcome.get("true_structure"))
+    reached = outcome.get("true_structure") or {}
+    true, unseen = (over_joints(reached.get(rows)) for rows in ("held_out", "unseen"))
     if row["kind"] == "nothing":
         true = retuned  # nothing is the true structure
     row["ratio"] = _ratio(ours, true)
     row["against_retuned"] = _ratio(ours, retuned) if row["named"] else None
-    row["worse"] = None if row["against_retuned"] is None else (
-        row["against_retuned"] > 1.0 + _WORSE)
-    truth_over = _ratio(true, retuned) if true is not None and row["worse"] else None
-    row["only_here"] = truth_over is None or truth_over <= 1.0 + _WORSE
+    row["worse"] = _worse(row["against_retuned"])
+    # the quarter that no choice has seen holds a few windows, and tells of luck as well
+    before = held_out(report, "retuned", "unseen")
+    row["unseen_worse"] = _worse(_ratio(held_out(report, "augmented", "unseen"), before)
+                                 if row["named"] else None)
+    row["only_here"] = bool(row["unseen_worse"]) and not _worse(_ratio(unseen, before))
     for name, made in (outcome.get("baselines") or {}).items():
         names = [tuple(each) for each in made["names"]]
         row["baselines"][name] = {
@@ -179,11 +182,15 @@ def _errors(row: dict, outcome: dict, report: dict, truth: list[tuple]) -> None:
             "joint_right": bool(names) and names[0][1] in {j for _, j in truth},
             "alarm": bool(names), "needless": len(names) > len(truth),
             "both": bool(truth) and set(truth) <= set(names), "named": bool(names),
-            "ratio": _ratio(over_joints(made["position_rms"]), true,
+            "ratio": _ratio(over_joints(made["position_rms"]), unseen,
                             math.inf if made["names"] else None)}
     row["baselines"]["retuning"] = {
         "top1": False, "joint_right": False, "alarm": False, "needless": False, "both": False,
         "named": False, "ratio": _ratio(retuned, true)}
+
+
+def _worse(ratio: float | None) -> bool | None:
+    return None if ratio is None else ratio > 1.0 + _WORSE
 
 
 def _ratio(one: float | None, other: float | None, without: float | None = None) -> float | None:

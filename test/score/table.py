@@ -113,8 +113,8 @@ def text(rows: list[dict], title: str = "", alone: Sequence[float] = ()) -> str:
     out += _ratios("  mean, where nothing is missing", of["nothing"], None)
     worse = [row for row in rows if row.get("worse") is not None]
     out.append(_share("named, and held out worse than retuned", worse, "worse", "0"))
-    out.append(_share("  and the true structure is not", worse,
-                      lambda row: row["worse"] and row["only_here"]))
+    out.append(_share("  in the quarter that no choice has seen", worse, "unseen_worse"))
+    out.append(_share("    and the true structure is not", worse, "only_here"))
     seconds = sorted(row["seconds"] for row in rows if row["seconds"] is not None
                      and row["kind"] != "fault")
     if seconds:
