@@ -77,30 +77,30 @@ def test_each_fold_is_predicted_by_parameters_fitted_to_the_others():
 def test_the_errors_are_those_of_all_windows_together():
     held_out, fitted = fits()
     model = fitted(None)
-    told = held_out.told(model)
-    parts = [(fold.validation.lengths("held_out").sum(),
-              held_out.position_rms(model, tuple(k == n for k in range(len(told)))))
-             for n, fold in enumerate(held_out.folds)]
-    together = np.sqrt(sum(rows * rms ** 2 for rows, rms in parts) / sum(r for r, _ in parts))
-    assert np.allclose(held_out.position_rms(model, told), together, rtol=1e-12)
+    points = held_out._points(model)
+    parts = [fold.validation.window_errors(held_out._plant(point), "held_out")
+             for fold, point in zip(held_out.folds, points)]
+    together = np.sqrt(sum((e ** 2).sum() for e in parts) / sum(len(e) for e in parts))
+    assert np.allclose(held_out.position_rms(model), together, rtol=1e-12)
     start = Point(held_out.folds[0].predictor.mechanism.start, ())
     models = {"nominal": start, "retuned": model, "augmented": model}
     tables = held_out.errors(models, np.array([0.1]), (np.array([NOISE]), np.array([1e-5])))
-    assert np.array_equal(tables["held_out"].position_rms.augmented, held_out.position_rms(
-        model, told))
+    assert np.array_equal(tables["held_out"].position_rms.augmented, held_out.position_rms(model))
     assert np.array_equal(tables["unseen"].position_rms.retuned, held_out.unseen(
         model.fitted.point))
     assert np.array_equal(tables["unseen"].position_rms.nominal, held_out.unseen(start))
 
 
-def test_a_fold_is_left_out_where_the_others_tell_nothing_of_an_effect():
+def test_what_the_other_folds_tell_nothing_of_stays_as_the_whole_log_has_it():
     blow = "impulse:joint=1,torque=0.5,time=5.0,width=0.1"
     held_out, fitted = fits(blow, place=0.2)
     model = fitted(blow, "torque")
     holds = [bool(fold.predictor.held_rows[int(5.0 / 2e-3)].all()) for fold in held_out.folds]
     assert sum(holds) == 1 and not holds[0]
-    assert held_out.told(model) == tuple(not each for each in holds)
-    # without it the parameters give way to the blow, and the other folds show that
+    for inside, point in zip(holds[1:], held_out._points(model)[1:]):
+        same = point.effects[0].values == model.fitted.point.effects[0].values
+        assert same is inside and not np.array_equal(point.theta, model.fitted.point.theta)
+    # without it the parameters give way to the blow
     assert held_out.lower(model, fitted(None))
 
 
@@ -127,5 +127,5 @@ def test_without_any_window_nothing_is_said_against_a_name():
     held_out = HeldOut([Fold(bare, Validation(whole, bare), True)])
     weighting = predictor.white_weighting(predictor.errors(mechanism.plant()))
     model = Model(Fitted(Point(mechanism.start, ()), np.zeros((0, 1)), 0.0, ()), weighting)
-    assert np.isnan(held_out.position_rms(model, (True,))).all()
+    assert np.isnan(held_out.position_rms(model)).all()
     assert held_out.lower(model, model)

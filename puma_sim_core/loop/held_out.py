@@ -5,8 +5,9 @@
 A quarter of a log holds a few windows, and the luck of a few windows can be worse with the true
 structure than without it. So a log is cut into four folds, and each is predicted by the model with
 its parameters fitted to the other three (Stone 1974, J. R. Statist. Soc. B 36:111). One of them is
-the quarter that was kept back from the choice of the effects as well. Logs that are kept back as a
-whole are predicted as they are.
+the quarter that was kept back from the choice of the effects as well. What happens in one fold only,
+such as a blow, can be fitted nowhere else: a parameter that the other folds tell next to nothing of
+stays as the whole log has it. Logs that are kept back as a whole are predicted as they are.
 """
 
 from __future__ import annotations
@@ -26,8 +27,8 @@ from .weighting import Weighting
 
 #: folds of a log
 FOLDS = round(1.0 / HELD_SHARE)
-#: an effect of which a fold leaves less than this share of the information on each parameter to the
-#: others cannot be fitted without it: such a fold says nothing
+#: a parameter of an effect of which a fold leaves less than this share of the information to the
+#: others cannot be fitted without it
 _LEFT_TO_FIT = 0.3
 #: rounds of each fit
 _ROUNDS = 2
@@ -80,64 +81,47 @@ class HeldOut:
             folds.append(Fold(other, Validation(moved, other), False))
         return cls(folds)
 
-    def told(self, model: Model) -> tuple[bool, ...]:
-        """Of each fold, whether the others tell the parameters of the model's effects."""
-        names = model.fitted.names
-        if not names or all(fold.known for fold in self.folds):
-            return (True,) * len(self.folds)
-        raw = self._derivatives(model)
-        own = model.weighting(raw[:, :, raw.shape[2] - len(names):]) ** 2
-        return tuple(fold.known or self._enough(own, fold.predictor) for fold in self.folds)
-
-    @staticmethod
-    def _enough(own: np.ndarray, predictor: Predictor) -> bool:
-        left = own[predictor.fit_rows].sum(axis=0)
-        whole = left + own[predictor.held_rows].sum(axis=0)
-        return bool(np.all(left >= _LEFT_TO_FIT * whole))
-
-    def position_rms(self, model: Model, told) -> np.ndarray:
-        """(J,) errors [rad or m] of the open-loop windows of the folds that are `told`, each with
-        the model fitted to the other folds; NaN without windows."""
-        return self._windows(self._points(model), told)
+    def position_rms(self, model: Model) -> np.ndarray:
+        """(J,) errors [rad or m] of the open-loop windows of all folds, each with the model fitted
+        to the other folds; NaN without windows."""
+        return self._windows(self._points(model))
 
     def lower(self, model: Model, than: Model) -> bool:
-        """Whether a model leaves less of the windows than another, over the folds that tell its
-        effects; without any window, nothing is said against it."""
-        told = self.told(model)
-        one, other = (float((self.position_rms(m, told) ** 2).mean()) for m in (model, than))
+        """Whether a model leaves less of the windows than another; without any window, nothing is
+        said against it."""
+        one, other = (float((self.position_rms(m) ** 2).mean()) for m in (model, than))
         return not one >= other
 
     def errors(self, models: Mapping[str, Model | Point], floor: np.ndarray, noise
                ) -> dict[str, Errors]:
-        """The tables: "held_out" of all folds that tell the effects, and where there are several
-        "unseen", of the one alone that the choice of the effects has not seen either.
+        """The tables: "held_out" of all folds, and where there are several "unseen", of the one
+        alone that the choice of the effects has not seen either.
 
         models : "nominal", "retuned", "augmented" -> the model, or a point that nothing was fitted
         to; floor (J,) : noise of the residual [V]; noise : ((J,), (J,)), that of a row's voltage
         [V] and of a position [rad or m].
         """
-        several = len(self.folds) > 1
-        tables = {"held_out": self._table(models, self.told(models["augmented"]), floor, noise)}
-        return tables | ({"unseen": self._table(models, (True,), floor, noise)} if several else {})
+        points = {name: [m] * len(self.folds) if isinstance(m, Point) else self._points(m)
+                  for name, m in models.items()}
+        tables = {"held_out": self._table(points, floor, noise)}
+        if len(self.folds) > 1:
+            first = {name: p[:1] for name, p in points.items()}
+            tables["unseen"] = self._table(first, floor, noise)
+        return tables
 
     def unseen(self, point: Point) -> np.ndarray:
         """(J,) errors [rad or m] of a model, as it is, in the windows that the choice of the
         effects has not seen."""
-        return self._windows([point], (True,))
+        return self._windows([point])
 
-    def _table(self, models, told, floor, noise) -> Errors:
-        points = {name: [m] * len(self.folds) if isinstance(m, Point) else self._points(m)
-                  for name, m in models.items()}
-        lengths = np.concatenate([fold.validation.lengths("held_out")
-                                  for fold, counts in zip(self.folds, told) if counts])
+    def _table(self, points, floor, noise) -> Errors:
+        """Errors of models, by their points of the first of the folds."""
+        lengths = np.concatenate([fold.validation.lengths("held_out") for fold, _ in zip(
+            self.folds, points["augmented"])])
         return Errors(
-            StageErrors(**{name: self._volts(p, told) for name, p in points.items()}, floor=floor),
-            StageErrors(**{name: self._windows(p, told) for name, p in points.items()},
+            StageErrors(**{name: self._volts(p) for name, p in points.items()}, floor=floor),
+            StageErrors(**{name: self._windows(p) for name, p in points.items()},
                         floor=position_floor(self.folds[0].predictor, lengths, *noise)))
-
-    def _derivatives(self, model: Model) -> np.ndarray:
-        fit = PredictionFit(self.folds[0].predictor, model.weighting)
-        return fit.derivatives(model.fitted.point, model.fitted.names)
 
     def _points(self, model: Model) -> list[Point]:
         """The model as fitted without each of the folds."""
@@ -146,13 +130,21 @@ class HeldOut:
             return [point] * len(self.folds)
         if model.key in self._fitted:
             return self._fitted[model.key]
-        raw = self._derivatives(model)
+        whole = PredictionFit(self.folds[0].predictor, model.weighting)
+        white = model.weighting(whole.derivatives(point, names))
+        told = white.shape[2] - len(names)
 
         def without(fold: Fold) -> Point:
             if fold.known:
                 return point
-            fit = PredictionFit(fold.predictor, model.weighting)
-            found = fit.run(point, (), known=fit.white(raw), known_free=names, rounds=_ROUNDS)
+            own = white[:, :, told:] ** 2
+            left = own[fold.predictor.fit_rows].sum(axis=0)
+            free = left >= _LEFT_TO_FIT * (left + own[fold.predictor.held_rows].sum(axis=0))
+            columns = np.r_[np.ones(told, dtype=bool), free]
+            found = PredictionFit(fold.predictor, model.weighting).run(
+                point, (), known=white[fold.predictor.fit_rows][:, columns],
+                known_free=tuple(pair for pair, is_free in zip(names, free) if is_free),
+                rounds=_ROUNDS)
             return point if found is None else found.point
 
         found = self._fitted[model.key] = each(without, self.folds)
@@ -161,17 +153,15 @@ class HeldOut:
     def _plant(self, point: Point):
         return self.folds[0].predictor.mechanism.plant(point.theta, point.effects)
 
-    def _windows(self, points: Sequence[Point], told) -> np.ndarray:
-        def of(k: int) -> np.ndarray:
-            return self.folds[k].validation.window_errors(self._plant(points[k]), "held_out")
+    def _windows(self, points: Sequence[Point]) -> np.ndarray:
+        """(J,) errors [rad or m] of the windows of the first of the folds."""
+        return rms(np.concatenate([fold.validation.window_errors(self._plant(point), "held_out")
+                                   for fold, point in zip(self.folds, points)]))
 
-        return rms(np.concatenate(each(of, [k for k, counts in enumerate(told) if counts])))
-
-    def _volts(self, points: Sequence[Point], told) -> np.ndarray:
-        """(J,) residual [V] at the rows that the folds keep back."""
+    def _volts(self, points: Sequence[Point]) -> np.ndarray:
+        """(J,) residual [V] at the rows that the first of the folds keep back."""
         def of(k: int) -> np.ndarray:
             return self.folds[k].validation.volts(self._plant(points[k]))
 
-        counting = [k for k, counts in enumerate(told) if counts]
-        rows = [self.folds[k].predictor.held_rows for k in counting]
-        return rms(np.concatenate(each(of, counting)), np.concatenate(rows))
+        rows = [fold.predictor.held_rows for fold, _ in zip(self.folds, points)]
+        return rms(np.concatenate(each(of, range(len(points)))), np.concatenate(rows))

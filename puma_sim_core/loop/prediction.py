@@ -41,6 +41,12 @@ _FARTHEST = 1.5
 _MATTERS = {("soft_stop", "lower"): 0.02, ("soft_stop", "upper"): 0.02,
             ("impulse", "time"): "width", ("transmission_error", "order"): 1.0,
             ("voltage_saturation", "voltage"): 1.0, ("current_limit", "current"): 0.2}
+#: (effect, parameter) that say how fast or how stiff, not how much: a fit moves their logarithms. A
+#: step by so many of their sizes would end at nothing of them, and stay there
+_SCALES = frozenset({
+    ("friction_warm_up", "time_constant"), ("resistance_drift", "time_constant"),
+    ("stribeck_friction", "velocity"), ("presliding_friction", "stiffness"),
+    ("joint_elasticity", "stiffness"), ("backlash", "stiffness"), ("impulse", "width")})
 
 
 @dataclass(frozen=True)
@@ -193,19 +199,9 @@ class PredictionFit:
                 raw = self._raw(point) if free else None
                 full = np.hstack([known, *(self.white(self._by_effect(point, raw, number, name)
                                                       [:, :, None]) for number, name in free)])
-            sizes = self.sizes(point, pairs)
-            p = len(m.deviations)
-            position = (point.theta - m.start) / m.deviations
-            slope, told = self.prior(point, pairs)
-            normal = full.T @ full + np.diag(np.concatenate([np.ones(p), told]))
-            gradient = full.T @ errors[self.rows] + np.concatenate([position, slope])
-            step = _bounded_step(normal, gradient, p)
+            step = self._newton(full, point, errors, pairs)
             gained = 0.0
-            for share in (1.0, 0.5, 0.25, 0.1):
-                moved = self._step(point, share * step, pairs, sizes)
-                trial = None if moved is None else self.errors(moved)
-                if trial is None:
-                    continue
+            for moved, trial in self._tried(full, point, step, pairs):
                 objective = self.objective(trial, moved)
                 if objective < best:
                     gained = best - objective
@@ -214,6 +210,35 @@ class PredictionFit:
             if gained < 0.1:
                 break
         return Fitted(point, errors, best, pairs, full)
+
+    def _newton(self, full, point: Point, errors, pairs) -> np.ndarray:
+        """(p + c,) the step of Gauss and Newton from a model, with derivatives (N', p + c)."""
+        m = self.mechanism
+        slope, told = self.prior(point, pairs)
+        p = len(m.deviations)
+        normal = full.T @ full + np.diag(np.concatenate([np.ones(p), told]))
+        position = (point.theta - m.start) / m.deviations
+        gradient = full.T @ errors[self.rows] + np.concatenate([position, slope])
+        return _bounded_step(normal, gradient, p)
+
+    def _tried(self, full, point: Point, step, pairs):
+        """(model, its errors) one by one, those that can be run: a whole step; one more from there
+        with the same derivatives, which brings back to the bottom of a valley that is bent, such as
+        that of a drive's constant and all torques; parts of the step."""
+        sizes = self.sizes(point, pairs)
+        for share in (1.0, 0.5, 0.25, 0.1):
+            moved = self._step(point, share * step, pairs, sizes)
+            trial = None if moved is None else self.errors(moved)
+            if trial is None:
+                continue
+            yield moved, trial
+            if share < 1.0:
+                continue
+            back = self._newton(full, moved, trial, pairs)
+            moved = self._step(moved, back, pairs, self.sizes(moved, pairs))
+            trial = None if moved is None else self.errors(moved)
+            if trial is not None:
+                yield moved, trial
 
     def sizes(self, point: Point, pairs) -> list[float]:
         """What the columns of effects are derivatives per: the size of each parameter."""
@@ -227,7 +252,11 @@ class PredictionFit:
             return None
         effects = point.effects
         for (number, name), change, size in zip(pairs, step[p:], sizes):
-            value = effects[number].values[name] + change * size
+            value = effects[number].values[name]
+            if (effects[number].kind.name, name) in _SCALES:
+                value *= float(np.exp(change))
+            else:
+                value += change * size
             effects = _with_value(effects, number, name, value, clip=True)
             if effects is None:
                 return None

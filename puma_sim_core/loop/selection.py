@@ -30,7 +30,7 @@ from .weighting import Weighting
 #: most effects that are added
 MOST_EFFECTS = 4
 #: least gain [nat] of a name, whatever the placebos say
-LEAST_GAIN = 15.0
+LEAST_GAIN = 20.0
 #: what a gain must exceed the placebos' greatest by: a factor and an addend
 PLACEBO_FACTOR, PLACEBO_MARGIN, PLACEBOS = 1.2, 2.0, 24
 #: share of the first effect's gain that a further one must reach: below it stands what the
@@ -51,7 +51,7 @@ _REFITS, _STAGE_REFITS = 4, 2
 #: that is not lends its gain to whatever is tried first
 _FINISHED = 2.0
 #: share of the squared voltages held out that a model by the noise before may leave of those by the
-#: noise after it, to be preferred
+#: noise after it, in the mean of the joints, to be preferred
 _BETTER = 0.97
 #: share of a gain to which fits are exact at best: it counts in a log without noise
 _EXACT = 1e-4
@@ -98,7 +98,7 @@ class Selected:
     @property
     def retuned_model(self) -> Model:
         """The model with its parameters fitted and no more."""
-        return Model(self.retuned, self.stages[0].weighting if self.keys else self.weighting)
+        return Model(self.retuned, self.weighting)
 
     def entry(self, key: tuple) -> Trial | None:
         """The trial by which a chosen effect entered; None of one that replaced another."""
@@ -177,9 +177,9 @@ class Selection:
         pairs = self.trials.free(point, keys)
         final, _ = self._exact(fit, point, pairs, gain=0.5, times=_REFITS)
         final = replace(final, jacobian=fit.white(fit.derivatives(final.point, pairs)))
-        if not keys:
-            # without any effect the retuned model is the final one
-            retuned = final
+        # the model that was retuned and no more, in the same noise: else two noises are compared
+        retuned = (final if not keys else
+                   self._exact(fit, retuned.point, (), gain=0.5, times=_REFITS)[0])
         return Selected(retuned, final, keys, stages, weighting, prices, swapped)
 
     def _exact(self, fit, point, pairs, raw=None, gain: float = _FINISHED,
@@ -264,7 +264,9 @@ class Selection:
         trials = each(lambda pair: pair[1] if pair[1].fitted is None else
                       self.trials.run(fit, base, known, known_free, pair[0],
                                       pair[1].fitted.point), zip(short, trials))
-        if self._held_volts(*before) < _BETTER * self._held_volts(fit, base, raw, trials):
+        # joint by joint, since one that neither explains must not speak for the others
+        if float(np.mean(self._held_volts(*before) / self._held_volts(fit, base, raw, trials))
+                 ) < _BETTER:
             # what no effect explains was taken for noise, and the fit has moved away from it
             fit, base, raw, trials = before
             weighting = fit.weighting
@@ -292,14 +294,13 @@ class Selection:
             accepted = self._parsimonious(passing[0], passing) if passing else None
         return Stage(trials, threshold, base, screened, weighting, accepted, chance)
 
-    def _held_volts(self, fit, base: Fitted, raw, trials) -> float:
-        """Sum of squares, in units of each joint's noise, of the voltages that the best model of a
-        pass lacks at the rows kept back."""
+    def _held_volts(self, fit, base: Fitted, raw, trials) -> np.ndarray:
+        """(J,) sums of squares [V^2] of the voltages that the best model of a pass lacks at the
+        rows kept back."""
         best = max((t for t in trials if t.problem is None), key=lambda t: t.gain, default=None)
         point = base.point if best is None or best.gain < 0.0 else best.fitted.point
         volts = self.predictor.in_volts(self._raw(point), self.problem.sampled.cutoffs[1])
-        held = self.predictor.held_rows
-        return float(((volts / self.predictor.volts)[held] ** 2).sum())
+        return (np.where(self.predictor.held_rows, volts, 0.0) ** 2).sum(axis=0)
 
     def _noise(self, base: Fitted, trials) -> Weighting:
         """The weighting by what is left of each joint after the model that explains it best. One

@@ -22,7 +22,7 @@ _SLOW, _FAST, _LEAST_SCREENED = 8, 4, 2.0
 _FAMILY = 0.3
 #: a joint is far noisier than the others from so many times the median of their noise on; the
 #: price [nat] of a coefficient of what is tried there unasked
-_NOISY, _UNSEEN_PRICE = 3.0, 4.0
+_NOISY, _UNSEEN_PRICE = 2.0, 4.0
 
 
 class ShortList:

@@ -139,7 +139,7 @@ class Trials:
     def _anew(self, fit, base: Fitted, known, known_free, free, starts) -> list[Fitted | None]:
         """Fits from several starts with derivatives about each."""
         if not starts[0].heavy:
-            return [fit.run(at, (*known_free, *free), rounds=3) for at in starts]
+            return [fit.run(at, (*known_free, *free), rounds=6) for at in starts]
         if not base.point.heavy:
             # a model of two masses answers to the arm's parameters much as the rigid one does
             known = fit.white(fit.derivatives(Point(self.mechanism.start, base.point.effects),

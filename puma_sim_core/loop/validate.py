@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""Errors before and after, on the rows that were fitted and on those that were kept back (step 7).
+"""Errors before and after: of voltages, and of positions in open loop (step 7).
 
-The residual in volts, and the error of the position in open loop: in windows of half a second the
-model sees the voltages alone. Each starts from the state to which the model's own observer has come
-along the log, which holds what no sensor shows: currents, bristles, where in its play a gear is.
+In windows of half a second the model sees the voltages alone. Each starts from the state to which
+the model's own observer has come along the log, which holds what no sensor shows: currents,
+bristles, where in its play a gear is. Windows overlap: what happens in a few rows, such as the
+touch of a stop, must not fall between two of them.
 """
 
 from __future__ import annotations
@@ -12,11 +13,14 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import NonFiniteStateError
+from .parallel import each
 from .predictor import SETTLING
 from .result import Errors, StageErrors
 
-#: length of an open-loop window [s], and the shortest one that counts
-_WINDOW, _SHORTEST = 0.5, 0.3
+#: length of an open-loop window [s], the shortest one that counts, and how far the next begins
+_WINDOW, _SHORTEST, _HOP = 0.5, 0.3, 0.125
+#: windows are run in so many turns, so that before each the observer has its length to come back
+_TURNS = round(2.0 * _WINDOW / _HOP)
 #: what an error of position is set to where the state does not stay finite [rad or m]
 FAR_OFF = 1e3
 
@@ -30,50 +34,40 @@ class Validation:
     def __init__(self, problem, predictor):
         self.problem = problem
         self.predictor = predictor
-        #: for "fit" and "held_out", for each log: the number of the window that a row of the
-        #: observer is in, -1 for none
-        self.windows: dict[str, list[np.ndarray]] = {"fit": [], "held_out": []}
-        for number, stretch in enumerate(predictor.stretches):
-            time = stretch.time[1:]
-            own = problem.segment == number
-            kept, held = problem.sampled.time[problem.kept[own]], problem.held[own]
-            for key, chosen in (("fit", ~held), ("held_out", held)):
-                spans = [_windows(time, max(low, float(time[0]) + SETTLING), high)
-                         for low, high in _spans(kept, chosen)]
-                inside = np.full(len(time), -1)
-                for span in spans:
-                    # those beside each other take turns; the first of every span is even
-                    first = inside.max() + 2 - inside.max() % 2 if inside.max() >= 0 else 0
-                    for n, rows in enumerate(span):
-                        inside[rows] = first + n
-                self.windows[key].append(inside)
-        #: rows (N,) of the observer in the windows of each
-        self.rows = {key: np.concatenate(parts) >= 0 for key, parts in self.windows.items()}
-
-    def position_errors(self, plant, key: str) -> np.ndarray:
-        """(N, J) open-loop errors [rad or m] at the observer's rows, 0 outside the windows of "fit"
-        or "held_out".
-
-        Windows take turns, so that before each the observer has had time to come back.
-        """
-        p = self.predictor
-        total = np.zeros(p.fit_rows.shape)
-        for turn in (0, 1):
-            free = [(w >= 0) & (w % 2 == turn) for w in self.windows[key]]
-            open_loop = np.concatenate(free)
-            if not open_loop.any():
-                continue
-            try:
-                parts = p.tracked(plant, [~rows for rows in free])
-                errors = np.concatenate([part.innovation for part in parts])
-            except NonFiniteStateError:
-                errors = np.full(total.shape, FAR_OFF)
-            total[open_loop] = np.clip(errors[open_loop], -FAR_OFF, FAR_OFF)
-        return total
+        #: "fit" and "held_out" -> turns, each with the windows (number of the log, rows of its
+        #: observer) that are run together
+        self.turns: dict[str, list[list[tuple[int, slice]]]] = {}
+        for key in ("fit", "held_out"):
+            turns: list[list[tuple[int, slice]]] = [[] for _ in range(_TURNS)]
+            for number, stretch in enumerate(predictor.stretches):
+                time = stretch.time[1:]
+                own = problem.segment == number
+                chosen = problem.held[own] == (key == "held_out")
+                for low, high in _spans(problem.sampled.time[problem.kept[own]], chosen):
+                    found = _windows(time, max(low, float(time[0]) + SETTLING), high)
+                    for n, rows in enumerate(found):
+                        turns[n % _TURNS].append((number, rows))
+            self.turns[key] = [turn for turn in turns if turn]
 
     def window_errors(self, plant, key: str) -> np.ndarray:
-        """(n, J) open-loop errors [rad or m] at the rows of the windows alone."""
-        return self.position_errors(plant, key)[self.rows[key]]
+        """(n, J) open-loop errors [rad or m] at the rows of the windows of "fit" or "held_out",
+        turn by turn."""
+        p = self.predictor
+
+        def of(turn) -> list[np.ndarray]:
+            corrected = [np.ones(n, dtype=bool) for n in p.lengths]
+            for number, rows in turn:
+                corrected[number][rows] = False
+            try:
+                parts = p.tracked(plant, corrected)
+            except NonFiniteStateError:
+                return [np.full((rows.stop - rows.start, plant.joints), FAR_OFF)
+                        for _, rows in turn]
+            return [parts[number].innovation[rows] for number, rows in turn]
+
+        found = [errors for turn in each(of, self.turns[key]) for errors in turn]
+        found.append(np.zeros((0, p.fit_rows.shape[1])))
+        return np.clip(np.concatenate(found), -FAR_OFF, FAR_OFF)
 
     def volts(self, plant) -> np.ndarray:
         """(N, J) voltages [V] that a plant lacks along the logs, at the rows of the observer."""
@@ -98,9 +92,8 @@ class Validation:
 
     def lengths(self, key: str) -> np.ndarray:
         """(w,) rows of each window."""
-        counts = [np.unique(inside[inside >= 0], return_counts=True)[1]
-                  for inside in self.windows[key]]
-        return np.concatenate(counts)
+        return np.array([rows.stop - rows.start for turn in self.turns[key] for _, rows in turn],
+                        dtype=int)
 
 
 def position_floor(predictor, lengths, volts, noise) -> np.ndarray:
@@ -132,7 +125,8 @@ def _windows(time, low, high) -> list[slice]:
     length = high - low
     if length < _SHORTEST:
         return []
-    count = max(1, int(length / _WINDOW))
-    edges = low + min(_WINDOW, length) * np.arange(count + 1)
-    rows = np.searchsorted(time, edges, side="right")
-    return [slice(a, b) for a, b in zip(rows[:-1].tolist(), rows[1:].tolist()) if b > a + 3]
+    free = max(length - _WINDOW, 0.0)
+    starts = low + np.linspace(0.0, free, 1 + int(round(free / _HOP)))
+    first, last = (np.searchsorted(time, edge, side="right").tolist()
+                   for edge in (starts, starts + min(_WINDOW, length)))
+    return [slice(a, b) for a, b in zip(first, last) if b > a + 3]

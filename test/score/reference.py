@@ -69,8 +69,7 @@ class Bench:
                 model = Model(fitted, weighting)
                 weighting = colour.weighting(
                     predictor, predictor.errors(m.plant(point.theta, point.effects)))
-            return {"held_out": _finite(self.held_out.position_rms(model,
-                                                                   self.held_out.told(model))),
+            return {"held_out": _finite(self.held_out.position_rms(model)),
                     "unseen": _finite(self.held_out.unseen(point))}
         except PumaSimError:
             return {"held_out": None, "unseen": None}

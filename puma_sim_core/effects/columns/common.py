@@ -151,9 +151,9 @@ def slow_enough(signals: Signals, joint: int, order: float) -> bool:
 
 
 def waves(signals: Signals, joint: int, order: float) -> bool:
-    """Whether sin(order q) shows itself: a wave and a half are travelled, slowly enough."""
+    """Whether sin(order q) shows itself: a whole wave is travelled, slowly enough."""
     low, high = travelled(signals, joint)
-    return order * (high - low) > 3.0 * np.pi and slow_enough(signals, joint, order)
+    return order * (high - low) > 2.0 * np.pi and slow_enough(signals, joint, order)
 
 
 def change_of_voltage(signals: Signals, joint: int, dq, dqd, dqdd,

@@ -18,7 +18,7 @@ def ripple(signals: Signals, joint: int) -> list[Candidate]:
 
     The counts of an encoder blur the phase by at most n N times half a count, below 0.1 rad for
     the arm; orders whose waves pass faster than the filters of the screening let through, or of
-    which the joint travels less than one and a half, are left out.
+    which the joint travels less than one, are left out.
     """
     scale, q = float(signals.torque_scale[joint]), signals.position[:, joint]
     found = []

@@ -119,5 +119,5 @@ SCREENINGS = {
             ("torque_ripple", "the waves vanish at rest"),
             ("sensor_lag", "the error follows the place, not the speed alone")),
         excitation="The same places at different speeds.",
-        plausible=(("amplitude", 0.0005, 0.02), ("period", 0.3, 7.0))),
+        plausible=(("amplitude", 0.0002, 0.02), ("period", 0.3, 7.0))),
 }
