@@ -5,13 +5,18 @@ fell, how many waves a gear has a turn."""
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from loop_logs import pieces, record
 from puma_sim_core.effects import Effect, parse_effect
+from puma_sim_core.loop import explain
+from puma_sim_core.loop.ingest import Log
 from puma_sim_core.loop.prediction import _FARTHEST, Point, PredictionFit, _bounded_step
 from puma_sim_core.mechanisms import load_mechanism
+from puma_sim_core.simulator import Simulator
 
 pytestmark = pytest.mark.long
 NOISE = 0.02
@@ -26,7 +31,9 @@ HIGHEST = float(record(PENDULUM, PENDULUM.plant()).position.max())
     (f"soft_stop:joint=1,lower=-9,upper={HIGHEST - 0.1},stiffness=0.3,damping=0", {"upper": 0.008}),
     ("impulse:joint=1,torque=0.3,time=7.3,width=0.06", {"time": 0.02, "width": 0.01}),
     ("impulse:joint=1,torque=0.3,time=7.3,width=0.06", {"time": -0.02}),
-    ("transmission_error:joint=1,amplitude=0.002,order=40,phase=1", {"order": 0.4})])
+    ("transmission_error:joint=1,amplitude=0.002,order=40,phase=1", {"order": 0.4}),
+    # a step by its size would be one to below nothing
+    ("friction_warm_up:joint=1,share=0.8,time_constant=1.5", {"time_constant": 9.0})])
 def test_a_fit_comes_to_the_place(text, off):
     true = parse_effect(text)
     log = record(PENDULUM, PENDULUM.plant(effects=(true,)), volts=NOISE, noise=1e-5)
@@ -44,6 +51,63 @@ def test_a_fit_comes_to_the_place(text, off):
         assert left < 0.2 * abs(change), (name, found.point.effects[0].values)
 
 
+def test_a_fit_comes_back_from_where_parameters_took_the_place_of_an_effect():
+    friction = parse_effect("coulomb_friction:joint=1,torque=0.02")
+    fit, _ = fit_of(PENDULUM, friction, seconds=4.0)
+    true = Point(PENDULUM.start, (friction,))
+    far = Point(PENDULUM.clip(PENDULUM.start + 3.0 * PENDULUM.deviations), true.effects)
+    pairs = ((0, "torque"),)
+    known = fit.white(fit.derivatives(true, pairs))
+    stopped = fit.run(far, (), known=known, known_free=pairs, rounds=0)
+    back = fit.from_start(stopped, known)
+    assert back.objective < stopped.objective
+    assert back.objective <= fit.objective(fit.errors(true), true)
+    # one that is as low already stays as it is
+    assert fit.from_start(back, known) is back
+
+
+def test_a_step_that_leaves_a_bent_valley_is_followed_by_one_back_into_it():
+    class Valley(PredictionFit):
+        """Errors of the product of two numbers, the first with a prior: b = 12 / a is the valley."""
+
+        def __init__(self):
+            self.rows, self.mechanism = np.ones((1, 1), dtype=bool), SimpleNamespace(
+                start=np.array([1.0]), deviations=np.array([0.1]), joints=1, clip=lambda x: x)
+            self.predictor = SimpleNamespace(feasible=lambda x: True)
+
+        def errors(self, point):
+            torque = point.effects[0].values["torque"]
+            return np.array([[10.0 * (point.theta[0] * torque - 12.0)]])
+
+        def _raw(self, point):
+            return self.errors(point)
+
+    fit = Valley()
+    start = Point(np.array([0.8]), (parse_effect("coulomb_friction:joint=1,torque=15"),))
+    # derivatives per deviation and per size, about the start
+    known, pairs = 10.0 * np.array([[15.0 * 0.1, 0.8 * 15.0]]), ((0, "torque"),)
+    step = fit._newton(known, start, fit.errors(start), pairs)
+    (_, away), (point, back), *_ = fit._tried(known, start, step, pairs)
+    assert abs(back).max() < 0.3 * abs(away).max()
+    # and it has come as far towards what is known beforehand
+    assert point.theta[0] == pytest.approx(1.0, abs=0.02)
+    assert fit.objective(back, point) < fit.objective(fit.errors(start), start)
+
+
+def test_a_log_without_any_noise_gives_the_truth():
+    arm, true = load_mechanism(), parse_effect("coulomb_friction:joint=2,torque=12")
+    time, rng = np.arange(0.0, 8.0, 4e-3), np.random.default_rng(1)
+    voltage = np.stack([sum(a * rng.uniform(0.4, 1.0) * np.sin(6.28 * f * time
+                                                               + rng.uniform(0.0, 6.0))
+                            for f in (0.3, 0.7, 1.3, 2.1)) for a in (6.0, 8.0, 4.0)], axis=1)
+    simulator = Simulator(arm.plant(effects=(true,)), max_step=1e-3)
+    simulator.reset([0.0, -1.2, 1.0])
+    named, = explain(Log("own", time, voltage, simulator.run(time, voltage).position)).effects
+    torque = named.parameters["torque"]
+    assert (named.name, named.joint) == ("coulomb_friction", 2)
+    assert torque.value == pytest.approx(12.0, rel=2e-3) and torque.low < 12.0 < torque.high
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_a_bounded_step_is_the_least_that_its_bounds_allow(seed):
     rng = np.random.default_rng(seed)
@@ -56,10 +120,10 @@ def test_a_bounded_step_is_the_least_that_its_bounds_allow(seed):
     assert np.abs((normal @ step + gradient)[~held]).max() < 1e-9 * np.abs(gradient).max()
 
 
-def fit_of(mechanism, effect):
-    """A fit to a second of a plant with an effect, and its innovations."""
+def fit_of(mechanism, effect, seconds=1.0):
+    """A fit to a log of a plant with an effect, and its innovations."""
     plant = mechanism.plant(effects=(effect,))
-    log = record(mechanism, plant, volts=NOISE, noise=1e-5, seconds=1.0)
+    log = record(mechanism, plant, volts=NOISE, noise=1e-5, seconds=seconds)
     problem, _, predictor = pieces(mechanism, log, NOISE, 1e-5)
     raw = predictor.errors(plant)
     return PredictionFit(predictor, predictor.white_weighting(raw)), raw

@@ -37,6 +37,8 @@ _TYPICAL = {"rad": 0.02, "s": 1e-3, "V": 0.1, "N.m": 1.0, "1": 0.1, "A": 1.0, "k
 
 #: greatest step of a parameter of an effect, in its sizes
 _FARTHEST = 1.5
+#: rounds of a fit from the start values
+_FROM_START = 6
 #: (effect, parameter) -> how far it must move to matter, or the parameter that says so
 _MATTERS = {("soft_stop", "lower"): 0.02, ("soft_stop", "upper"): 0.02,
             ("impulse", "time"): "width", ("transmission_error", "order"): 1.0,
@@ -210,6 +212,15 @@ class PredictionFit:
             if gained < 0.1:
                 break
         return Fitted(point, errors, best, pairs, full)
+
+    def from_start(self, fitted: Fitted, known: np.ndarray) -> Fitted:
+        """A fit, or one from the start values of the parameters on, with the effects as they are
+        there, if that comes out lower: past parameters that had taken the place of an effect, a fit
+        may have stopped in a valley whose bottom is nearly level. known (N', p + c): derivatives.
+        """
+        start = Point(self.mechanism.start, fitted.point.effects)
+        found = self.run(start, (), known=known, known_free=fitted.names, rounds=_FROM_START)
+        return fitted if found is None or found.objective >= fitted.objective else found
 
     def _newton(self, full, point: Point, errors, pairs) -> np.ndarray:
         """(p + c,) the step of Gauss and Newton from a model, with derivatives (N', p + c)."""

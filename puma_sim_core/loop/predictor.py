@@ -36,7 +36,7 @@ _STABLE = 2.0
 _LEAST_VOLTS = 2e-3
 #: noise that a row's voltage has at least, in volts of a middling friction torque: a log without
 #: any must not make the last digits of a fit, or of an integration, into effects
-_LEAST_ROW = 2e-3
+_LEAST_ROW = 2e-2
 #: least noise of a position, as a share of the deviation of its prediction
 _LEAST_SENSED = 0.3
 #: models whose derivatives are kept: each is asked for again with other weightings, by the tidying

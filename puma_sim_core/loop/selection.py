@@ -189,11 +189,13 @@ class Selection:
         by."""
         if raw is None:
             raw = fit.derivatives(point, pairs, near)
-        fitted = fit.run(point, (), known=fit.white(raw), known_free=pairs)
+        known = fit.white(raw)
+        fitted = fit.from_start(fit.run(point, (), known=known, known_free=pairs), known)
         for _ in range(times):
             before = fitted.objective
             raw = fit.derivatives(fitted.point, pairs, raw)
-            fitted = fit.run(fitted.point, (), known=fit.white(raw), known_free=pairs)
+            known = fit.white(raw)
+            fitted = fit.from_start(fit.run(fitted.point, (), known=known, known_free=pairs), known)
             if before - fitted.objective < gain:
                 break
         return fitted, raw

@@ -130,16 +130,25 @@ class Trials:
             if fitted is not None and _fixed(scored):
                 # a limit that fits best with the parameters as they are may not be where it is
                 starts += [fitted.point, Point(self.mechanism.start, screened.effects)]
-            fitted = _lowest(fitted, *self._anew(fit, base, known, known_free, free, starts))
+            fitted = _lowest(fitted, *self._anew(fit, base, known, known_free, free, starts,
+                                                 not _fixed(scored)))
         if fitted is None:
             return Trial(scored.name, scored.joint, 0.0, 0.0, None, _price(scored),
                          "the model with it does not stay finite along the log")
         return self._judged(fit, base, scored, fitted)
 
-    def _anew(self, fit, base: Fitted, known, known_free, free, starts) -> list[Fitted | None]:
-        """Fits from several starts with derivatives about each."""
+    def _anew(self, fit, base: Fitted, known, known_free, free, starts, patient
+              ) -> list[Fitted | None]:
+        """Fits from several starts with derivatives about each. patient : whether to go on from one
+        that is worse than the base."""
         if not starts[0].heavy:
-            return [fit.run(at, (*known_free, *free), rounds=6) for at in starts]
+            pairs = (*known_free, *free)
+            found = [fit.run(at, pairs, rounds=3) for at in starts]
+            best = _lowest(*found)
+            if patient and best is not None and best.objective > base.objective:
+                # none need be worse than without the effect: the fit is still on its way
+                found.append(fit.run(best.point, pairs, rounds=3))
+            return found
         if not base.point.heavy:
             # a model of two masses answers to the arm's parameters much as the rigid one does
             known = fit.white(fit.derivatives(Point(self.mechanism.start, base.point.effects),
@@ -221,7 +230,8 @@ class Trials:
             pairs = (*known_free, *fitted.names[len(known_free):])
             for _ in range(1 if fitted.point.heavy else _POLISHINGS):
                 known = fit.white(fit.derivatives(fitted.point, pairs, nearest(base, raw)))
-                fitted = fit.run(fitted.point, (), known=known, known_free=pairs, rounds=3)
+                fitted = fit.from_start(fit.run(fitted.point, (), known=known, known_free=pairs,
+                                                rounds=3), known)
                 if before - fitted.objective < _SMOOTH:
                     break
                 before = fitted.objective
