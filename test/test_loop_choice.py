@@ -132,11 +132,30 @@ def test_rivals_are_the_best_and_those_that_contain_what_was_chosen():
 
 
 def test_an_effect_that_took_the_place_of_another_has_a_gain_of_its_own():
-    stages = [Stage([t], 8.0, None, [], None, t) for t in (trial(A, 90.0), trial(B, 30.0))]
-    rival = ("stribeck_friction", 1)
-    selected = Selected(fitted(), fitted(B, rival), (B, rival), stages, None,
-                        swapped={rival: 120.0})
+    first, second = (Stage([t], 8.0, None, [], None, t) for t in (trial(A, 90.0), trial(B, 30.0)))
+    rival = trial(("stribeck_friction", 1), 85.0)
+    first.trials.append(rival)
+    selected = Selected(fitted(), fitted(B, rival.key), (B, rival.key), [first, second], None,
+                        swapped={rival.key: 120.0})
     assert [selected.gain_of(key) for key in selected.keys] == [30.0, 120.0]
+    # what it was tied with and what was ruled out for it are those of the stage where it was tried
+    assert selected.tried(rival.key) == (first, replace(rival, gain=120.0))
+    assert selected.tried(B) == (second, second.accepted)
+
+
+def test_kinds_that_an_effect_contains_are_those_tried_beside_it():
+    chosen = trial(("position_dependent_friction", 2), 100.0)
+    others = [("coulomb_friction", 2), ("coulomb_friction", 1), ("voltage_dead_band", 2)]
+    trials = [chosen, *(replace(trial(key, 90.0), fitted=fitted()) for key in others)]
+    stage = Stage(trials, 15.0, None, [], None, chosen)
+    chooser = SimpleNamespace(library=KINDS)
+    inner = Selection._contained(chooser, [stage], chosen.key, (chosen.key,))
+    assert [t.key for t in inner] == [("coulomb_friction", 2)]
+    # a blow fits any single event: what it contains is chosen elsewhere
+    blow = trial(("impulse", 2), 100.0)
+    stage = Stage([blow, replace(trial(("current_limit", 2), 99.0), fitted=fitted())], 15.0, None,
+                  [], None, blow)
+    assert Selection._contained(chooser, [stage], blow.key, (blow.key,)) == []
 
 
 @pytest.mark.parametrize("best, other, wanted", [

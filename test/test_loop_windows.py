@@ -6,12 +6,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.linalg import solve_discrete_lyapunov
 
 from loop_logs import SECONDS, STEP, record, validation
 from mechanism_support import NAMES
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.loop.ingest import Log
-from puma_sim_core.loop.predictor import stable_step
+from puma_sim_core.loop.predictor import _settled, stable_step
 from puma_sim_core.loop.problem import Problem
 from puma_sim_core.loop.sampling import sample
 from puma_sim_core.loop.validate import FAR_OFF, position_floor, rms
@@ -104,6 +105,16 @@ def test_windows_know_when_the_drive_is_off():
     aware = rms(validation(mechanism, log).window_errors(mechanism.plant(), "fit"))
     assert aware[0] < 1e-4
     assert rms(validation(mechanism, blind).window_errors(mechanism.plant(), "fit"))[0] > 0.02
+
+
+@pytest.mark.parametrize("radius", (0.1, 0.95, 0.9999))
+def test_what_noise_settles_at_solves_its_equation(radius):
+    rng = np.random.default_rng(7)
+    A, B = rng.standard_normal((2, 3, 3))
+    A *= radius / np.abs(np.linalg.eigvals(A)).max()
+    P = _settled(A, B @ B.T)
+    assert np.abs(A @ P @ A.T + B @ B.T - P).max() < 1e-12 * np.abs(P).max()
+    assert np.allclose(P, solve_discrete_lyapunov(A, B @ B.T), rtol=1e-9)
 
 
 def test_the_floor_is_what_a_true_model_reaches():

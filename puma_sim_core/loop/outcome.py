@@ -82,25 +82,21 @@ def _named(analysis, spread) -> tuple[NamedEffect, ...]:
                 parameters[name] = Interval(float(value), float(low), float(high), units[name])
             elif np.isfinite(value) and _asked(effect, name):
                 parameters[name] = Interval(float(value), float(value), float(value), units[name])
-        stage = next((st for st in s.stages if st.accepted is not None
-                      and st.accepted.key == key), None)
-        if stage is None:
-            named.append(NamedEffect(key[0], key[1], parameters, float(s.gain_of(key))))
-            continue
+        stage, own = s.tried(key)
         ties, out = [], []
         for t in stage.trials:
             if t.key == key or t.key in s.keys:
                 continue
-            if t.problem is None and tied(stage.accepted, t):
+            if t.problem is None and tied(own, t):
                 ties.append(Hypothesis(t.name, t.joint))
             else:
-                out.append(RuledOut(t.name, t.joint, _because(key[0], t, stage.accepted)))
+                out.append(RuledOut(t.name, t.joint, _because(key[0], t, own)))
         seen = {(t.name, t.joint) for t in stage.trials}
         for other, text in effect.kind.screening.look_alikes:
             joint = key[1] if other in KINDS and KINDS[other].per_joint else None
             if other in KINDS and (other, joint) not in seen and (other, joint) not in s.keys:
                 out.append(RuledOut(other, joint, f"the screening gave it no evidence; {text}"))
-        named.append(NamedEffect(key[0], key[1], parameters, float(stage.accepted.gain),
+        named.append(NamedEffect(key[0], key[1], parameters, float(own.gain),
                                  tuple(ties), tuple(out)))
     return tuple(named)
 

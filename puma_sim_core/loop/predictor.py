@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import fft
-from scipy.linalg import expm, solve_discrete_are, solve_discrete_lyapunov
+from scipy.linalg import expm, solve_discrete_are
 from scipy.signal import fftconvolve
 
 from ..plant import Plant
@@ -235,7 +235,7 @@ class Predictor:
             kept[:, 0] -= gain
             driven = volts[j] ** 2 * np.outer(G, G)
             seen = noise[j] ** 2 * np.outer(gain, gain)
-            P = kept @ solve_discrete_lyapunov(F @ kept, F @ seen @ F.T + driven) @ kept.T + seen
+            P = kept @ _settled(F @ kept, F @ seen @ F.T + driven) @ kept.T + seen
             for r in range(rows):
                 P = F @ P @ F.T + driven
                 out[r, j] = P[0, 0] + noise[j] ** 2
@@ -319,6 +319,14 @@ def _response(F, G, C, gain) -> np.ndarray:
             break
         x = kept @ x
     return np.array(out)
+
+
+def _settled(A, Q) -> np.ndarray:
+    """P = A P A' + Q of a stable A, by doubling (Smith 1968, SIAM J. Appl. Math. 16:198): a log
+    without noise makes the linear equations for P too ill-conditioned to be solved."""
+    while np.abs(A).max() > 1e-12:
+        A, Q = A @ A, Q + A @ Q @ A.T
+    return Q
 
 
 def stable_step(plant: Plant, at_most: float) -> float:
