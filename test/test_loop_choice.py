@@ -19,6 +19,7 @@ from puma_sim_core.loop.prediction import Fitted, Point
 from puma_sim_core.loop.selection import Selected, Selection, Stage
 from puma_sim_core.loop.trials import Trial, Trials, tied
 from puma_sim_core.loop.wrong_zero import wrong_zeros
+from puma_sim_core.mechanisms import load_mechanism
 
 A, B = ("coulomb_friction", 1), ("impulse", 2)
 
@@ -141,6 +142,15 @@ def test_an_effect_that_took_the_place_of_another_has_a_gain_of_its_own():
     # what it was tied with and what was ruled out for it are those of the stage where it was tried
     assert selected.tried(rival.key) == (first, replace(rival, gain=120.0))
     assert selected.tried(B) == (second, second.accepted)
+
+
+@pytest.mark.parametrize("period, refused", [(12.0, False), (13.5, True)])
+def test_a_wave_is_no_longer_than_its_joint_can_go_twice(period, refused):
+    pendulum = load_mechanism("pendulum")
+    problem = SimpleNamespace(mechanism=pendulum, sampled=SimpleNamespace(joints=1))
+    wave = parse_effect(f"sensor_nonlinearity:joint=1,amplitude=0.5,period={period}")
+    found = Trials(None, problem).implausible(wave)
+    assert bool(found) is refused and (found is None or "period 13.5" in found)
 
 
 def test_kinds_that_an_effect_contains_are_those_tried_beside_it():

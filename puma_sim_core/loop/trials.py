@@ -274,9 +274,9 @@ class Trials:
 
     def implausible(self, effect: Effect) -> str | None:
         """Why an effect can be none of this machine, None where it may be one; of other mechanisms
-        than the arm no sizes are known."""
+        than the arm no sizes are known, but that a wave has a length within its joint's range."""
         if not self._on_arm():
-            return None
+            return self._no_wave(effect)
         for name, low, high in effect.kind.screening.plausible:
             value = effect.values.get(name)
             if value is None:
@@ -286,6 +286,16 @@ class Trials:
             if name in _LEAST and value < low / _BELOW:
                 return f"{_IMPOSSIBLE}: {name} {value:.3g}, less than any machine has ({low:.3g})"
         return self._too_small(effect)
+
+    def _no_wave(self, effect: Effect) -> str | None:
+        """Why waves over the position are none: they are longer than the joint can go twice."""
+        period = effect.values.get("period")
+        if period is None:
+            return None
+        low, high = self.mechanism.ranges[effect.joint - 1]
+        far = _BEYOND * (high - low)
+        return (f"{_IMPOSSIBLE}: period {period:.3g}, more than the joint can go ({far:.3g})"
+                if period > far else None)
 
     @staticmethod
     def _too_small(effect: Effect) -> str | None:
