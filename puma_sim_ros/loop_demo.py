@@ -106,7 +106,7 @@ def _error_lines(errors: dict | None) -> list[str]:
     if errors is None:
         return []
     stages = ("nominal", "retuned", "augmented", "floor")
-    lines = ["held out, rms             " + "".join(f"{stage:>11}" for stage in stages)]
+    lines = [f"{'held out, rms':25}" + "".join(f"{stage:>11}" for stage in stages)]
     for key, what, factor in (("voltage_rms", "voltage, joint {} [mV]", 1e3),
                               ("position_rms", "position, joint {} [mrad]", 1e3)):
         for j in range(len(errors[key]["nominal"])):
