@@ -16,7 +16,8 @@ from puma_sim_core.loop.evidence import Scored
 from puma_sim_core.loop.explain import _confirmed
 from puma_sim_core.loop.outcome import no_name_stands
 from puma_sim_core.loop.prediction import Fitted, Point
-from puma_sim_core.loop.selection import Selected, Selection, Stage
+from puma_sim_core.loop.selected import Selected, Stage
+from puma_sim_core.loop.selection import Selection
 from puma_sim_core.loop.trials import Trial, Trials, tied
 from puma_sim_core.loop.wrong_zero import wrong_zeros
 from puma_sim_core.mechanisms import load_mechanism
@@ -137,7 +138,7 @@ def test_an_effect_that_took_the_place_of_another_has_a_gain_of_its_own():
     rival = trial(("stribeck_friction", 1), 85.0)
     first.trials.append(rival)
     selected = Selected(fitted(), fitted(B, rival.key), (B, rival.key), [first, second], None,
-                        swapped={rival.key: 120.0})
+                        swapped={rival.key: (first, 120.0)})
     assert [selected.gain_of(key) for key in selected.keys] == [30.0, 120.0]
     # what it was tied with and what was ruled out for it are those of the stage where it was tried
     assert selected.tried(rival.key) == (first, replace(rival, gain=120.0))
@@ -151,6 +152,14 @@ def test_a_wave_is_no_longer_than_its_joint_can_go_twice(period, refused):
     wave = parse_effect(f"sensor_nonlinearity:joint=1,amplitude=0.5,period={period}")
     found = Trials(None, problem).implausible(wave)
     assert bool(found) is refused and (found is None or "period 13.5" in found)
+
+
+@pytest.mark.parametrize("before, after, wanted", [
+    ([0.9, 1.0, 1.0], [1.0, 1.0, 1.0], True), ([1.0, 1.0, 1.0], [1.0, 1.0, 1.0], False),
+    # a joint far noisier than the others counts as one of three
+    ([1.05, 1.05, 95.0], [1.0, 1.0, 100.0], False), ([0.0, 0.0], [0.0, 0.0], False)])
+def test_a_noise_is_refused_where_the_joints_speak_against_it(before, after, wanted):
+    assert Selection._moved_away(np.array(before), np.array(after)) is wanted
 
 
 def test_kinds_that_an_effect_contains_are_those_tried_beside_it():

@@ -26,7 +26,8 @@ from .problem import Problem
 from .result import DATA_FAULT, Explanation
 from .sampling import sample
 from .search import Search
-from .selection import LEAST_GAIN, Selected, Selection
+from .selected import Selected
+from .selection import LEAST_GAIN, Selection
 from .unnamed import Unnamed
 from .validate import rms
 from .wrong_zero import wrong_zeros

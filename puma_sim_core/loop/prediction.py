@@ -187,7 +187,6 @@ class PredictionFit:
         -------
         The fitted model, None where the start cannot be run.
         """
-        m = self.mechanism
         errors = self.errors(point)
         if errors is None:
             return None

@@ -11,7 +11,7 @@ the gain of log likelihood less the price of their free coefficients ranks them.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,11 +19,11 @@ from ..effects import Effect
 from . import colour
 from .causal import CausalScreen
 from .evidence import Scored
-from .held_out import Model
 from .parallel import each
 from .prediction import TWO_MASSES, Fitted, Point, PredictionFit
 from .predictor import Predictor
 from .search import Search
+from .selected import Selected, Stage, entered
 from .short_list import ShortList
 from .trials import Trial, Trials, nearest
 from .weighting import Weighting
@@ -64,65 +64,6 @@ _EXACT = 1e-4
 _RIVAL, _RIVALS = 0.5, 3
 #: least share of the best gain of what is named in place of the best
 _GIVING_WAY = 0.4
-
-
-@dataclass
-class Stage:
-    """One stage: trials best first, the threshold of a name, the base that gains are over, and what
-    the screenings said."""
-
-    trials: list[Trial]
-    threshold: float
-    base: Fitted
-    screened: list[Scored]
-    weighting: Weighting
-    accepted: Trial | None = None
-    placebo: float = 0.0
-
-
-def entered(stages: list[Stage], key: tuple) -> Stage | None:
-    """The stage by which an effect entered; None of one that replaced another."""
-    return next((stage for stage in stages if stage.accepted is not None
-                 and stage.accepted.key == key), None)
-
-
-@dataclass(frozen=True)
-class Selected:
-    """The outcome: retuned model, final model with its free parameters, all stages, and the effects
-    that were taken out again since they did not lower the error held out."""
-
-    retuned: Fitted
-    final: Fitted
-    keys: tuple
-    stages: list[Stage]
-    weighting: Weighting
-    prices: dict = field(default_factory=dict)
-    #: gain [nat] over the model without it of each effect that took the place of another
-    swapped: dict = field(default_factory=dict)
-    retracted: tuple = ()
-
-    @property
-    def model(self) -> Model:
-        """The final model."""
-        return Model(self.final, self.weighting)
-
-    @property
-    def retuned_model(self) -> Model:
-        """The model with its parameters fitted and no more."""
-        return Model(self.retuned, self.weighting)
-
-    def tried(self, key: tuple) -> tuple[Stage, Trial]:
-        """The stage by which a chosen effect, or the one that it replaced, entered, and its trial
-        there with the gain that it has."""
-        stage = entered(self.stages, key) or next(
-            stage for stage in self.stages if any(t.key == key for t in stage.trials))
-        own = next(t for t in stage.trials if t.key == key)
-        return stage, replace(own, gain=self.gain_of(key))
-
-    def gain_of(self, key: tuple) -> float:
-        """Gain [nat] of a chosen effect when it entered."""
-        stage = entered(self.stages, key)
-        return self.swapped[key] if stage is None else stage.accepted.gain
 
 
 class Selection:
@@ -281,9 +222,7 @@ class Selection:
         trials = each(lambda pair: pair[1] if pair[1].fitted is None else
                       self.trials.run(fit, base, known, known_free, pair[0],
                                       pair[1].fitted.point), zip(short, trials))
-        # joint by joint, since one that neither explains must not speak for the others
-        if float(np.mean(self._held_volts(*before) / self._held_volts(fit, base, raw, trials))
-                 ) < _BETTER:
+        if self._moved_away(self._held_volts(*before), self._held_volts(fit, base, raw, trials)):
             # what no effect explains was taken for noise, and the fit has moved away from it
             fit, base, raw, trials = before
             weighting = fit.weighting
@@ -311,6 +250,12 @@ class Selection:
         if accepted is not None and accepted not in passing:
             accepted = self._parsimonious(passing[0], passing) if passing else None
         return Stage(trials, threshold, base, screened, weighting, accepted, chance)
+
+    @staticmethod
+    def _moved_away(before: np.ndarray, after: np.ndarray) -> bool:
+        """Whether the voltages held out (J,) [V^2] grew with the other noise: joint by joint, since
+        one that neither explains must not speak for the others. Without any, they did not."""
+        return bool((after > 0.0).all() and np.mean(before / after) < _BETTER)
 
     def _held_volts(self, fit, base: Fitted, raw, trials) -> np.ndarray:
         """(J,) sums of squares [V^2] of the voltages that the best model of a pass lacks at the
@@ -371,7 +316,8 @@ class Selection:
             if best is not None:
                 _, rival, tried = best
                 prices[rival.key] = rival.price
-                swapped[rival.key] = bare.objective - tried.objective - rival.price
+                swapped[rival.key] = (entered(stages, keys[number]),
+                                      bare.objective - tried.objective - rival.price)
                 return tried.point, (*rest, rival.key)
         return point, keys
 
@@ -398,9 +344,10 @@ class Selection:
                     found = fitted, simpler, t
             fitted, simpler, t = found
             lost, less = fitted.objective - full.objective, prices[key] - t.price
-            gain = entered(stages, key).accepted.gain
+            stage = entered(stages, key)
+            gain = stage.accepted.gain
             if lost < max(PARSIMONY, less + _EXACT * gain):
-                prices[t.key], swapped[t.key] = t.price, gain - lost + less
+                prices[t.key], swapped[t.key] = t.price, (stage, gain - lost + less)
                 point, keys = fitted.point, simpler
         return point, keys
 
