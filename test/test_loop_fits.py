@@ -5,6 +5,7 @@ fell, how many waves a gear has a turn."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,7 +14,11 @@ import pytest
 from loop_logs import pieces, record
 from puma_sim_core.effects import Effect, parse_effect
 from puma_sim_core.loop import explain
+from puma_sim_core.loop.evidence import Scored
 from puma_sim_core.loop.prediction import _FARTHEST, Point, PredictionFit, _bounded_step
+from puma_sim_core.loop.selected import Stage
+from puma_sim_core.loop.selection import Selection
+from puma_sim_core.loop.trials import Trials
 from puma_sim_core.mechanisms import load_mechanism
 
 pytestmark = pytest.mark.long
@@ -123,6 +128,53 @@ def fit_of(mechanism, effect, seconds=1.0):
     problem, _, predictor = pieces(mechanism, log, NOISE, 1e-5)
     raw = predictor.errors(plant)
     return PredictionFit(predictor, predictor.white_weighting(raw)), raw
+
+
+def limited():
+    """The fit of a log of a pendulum whose voltage has a limit, the fitted model without it, the
+    derivatives by its parameters, the trials, what a screening says of the limit, and a function of
+    a limit [V] and parameters -> the trial from there."""
+    limit = parse_effect("voltage_saturation:joint=1,voltage=4.2")
+    plant = PENDULUM.plant(effects=(limit,))
+    log = record(PENDULUM, plant, volts=NOISE, noise=1e-5)
+    problem, _, predictor = pieces(PENDULUM, log, NOISE, 1e-5)
+    fit = PredictionFit(predictor, predictor.white_weighting(predictor.errors(plant)))
+    base = fit.run(Point(PENDULUM.start, ()), (), rounds=8)
+    known = fit.white(fit.derivatives(base.point, ()))
+    trials = Trials(predictor, problem)
+    scored = Scored("voltage_saturation", 1, 0.0, 0.0, None, None, None, {"voltage": 4.2}, price=3.0)
+
+    def tried(value, theta):
+        return trials.run(fit, base, known, (), scored,
+                          Point(theta, (Effect(limit.kind, 1, {"voltage": value}),)))
+
+    return fit, base, known, trials, scored, tried
+
+
+def test_a_limit_is_fitted_on_from_where_it_was_found_in_the_stage_before():
+    fit, base, known, trials, scored, tried = limited()
+    then, now = tried(4.2, PENDULUM.start), tried(6.0, base.point.theta)
+    assert then.gain > 100.0 > 0.0 > now.gain
+    chooser = SimpleNamespace(trials=trials)
+
+    def resumed(accepted, stages=1):
+        stage = Stage([then], 16.0, None, [], None, accepted)
+        return Selection._resumed(chooser, fit, base, known, (), [scored], [now],
+                                  [stage] * stages)[0]
+
+    elsewhere = replace(then, joint=None)
+    assert resumed(elsewhere).gain > then.gain - 1.0
+    # there another explanation was better, and now there is less to explain
+    assert resumed(then) is now
+    assert resumed(elsewhere, stages=0) is now
+
+
+def test_a_trial_by_itself_is_fitted_to_its_end_where_rows_kept_back_speak_against_it():
+    fit, base, known, trials, scored, tried = limited()
+    rough = replace(tried(4.5, base.point.theta), held_gain=10.0)
+    assert trials.polished(fit, base, None, (), [scored], [rough]) == [rough]
+    polished, = trials.polished(fit, base, None, (), [scored], [replace(rough, held_gain=-1.0)])
+    assert polished.gain > rough.gain
 
 
 @pytest.mark.parametrize("stiffness, damping", [(5e5, 150.0), (4e6, 20.0), (6e4, 900.0)])

@@ -27,6 +27,8 @@ HELD_SHARE, _HELD_BLOCK = 0.25, 0.8
 #: where in its period a block lies, the usual place first; power of the residual there, over that
 #: of the other rows, from which on another place is looked for
 _PLACES, _UNLIKE = (0.5, 0.2, 0.8, 0.35, 0.65), 2.0
+#: share of a ratio of squared peaks that counts as one of powers
+_PEAK = 0.5
 #: rows around a kept-back block that count for neither, in time constants of the second filter
 _GUARD = 2.0
 
@@ -91,12 +93,14 @@ class Problem:
 
     def _unlike(self, residual) -> float:
         """Power of a residual at the rows kept back, and around them, over that of the rows to fit:
-        the most of any joint."""
+        the most of any joint. Or its peaks' power: a blow is lost in that of all rows where a joint
+        lacks something else as well."""
         away, ratios = self.held | self.guard, [0.0]
         for usable, r in zip(self.usable.T, residual.T):
             kept, fit = r[usable & away], r[usable & ~away]
             if len(kept) and len(fit):
-                ratios.append(float((kept ** 2).mean() / max((fit ** 2).mean(), 1e-30)))
+                ratios += [float(share * size(kept ** 2) / max(size(fit ** 2), 1e-30))
+                           for share, size in ((1.0, np.mean), (_PEAK, np.max))]
         return max(ratios)
 
     def _resting(self) -> np.ndarray:

@@ -31,7 +31,7 @@ from .weighting import Weighting
 #: most effects that are added
 MOST_EFFECTS = 4
 #: least gain [nat] of a name, whatever the placebos say
-LEAST_GAIN = 20.0
+LEAST_GAIN = 16.0
 #: what a gain must exceed the placebos' greatest by: a factor and an addend
 PLACEBO_FACTOR, PLACEBO_MARGIN, PLACEBOS = 1.2, 2.0, 24
 #: share of the first effect's gain that a further one must reach: below it stands what the
@@ -176,6 +176,28 @@ class Selection:
 
         return each(lambda pair: again(*pair), list(zip(short, trials)))
 
+    def _resumed(self, fit, base: Fitted, raw, known_free, short, trials, stages) -> list[Trial]:
+        """Trials with those that gain less than in the stage before, on another joint than what was
+        named there, fitted again from where they were then: a limit acts where its value is, and
+        the screening may have it where nothing shows."""
+        if not stages:
+            return trials
+        before = {t.key: t for t in stages[-1].trials if t.joint != stages[-1].accepted.joint
+                  and t.problem is None and t.gain > LEAST_GAIN}
+
+        def again(scored: Scored, trial: Trial) -> Trial:
+            then = before.get(trial.key)
+            if then is None or trial.gain >= then.gain:
+                return trial
+            theta, effect = then.fitted.point.theta, then.fitted.point.effects[-1]
+            known = fit.white(fit.derivatives(Point(theta, base.point.effects), known_free,
+                                              nearest(base, raw)))
+            found = self.trials.run(fit, base, known, known_free, scored,
+                                    Point(theta, (*base.point.effects, effect)))
+            return max(trial, found, key=lambda t: t.gain)
+
+        return each(lambda pair: again(*pair), list(zip(short, trials)))
+
     def _rebased(self, fit, base: Fitted, raw, known_free, trials):
         """Base, its raw derivatives and trials, over the base that the trials' parameters lead to:
         what they gain without the effects that were tried is no gain of those."""
@@ -212,6 +234,7 @@ class Selection:
         trials = each(lambda s: self.trials.run(fit, base, known, known_free, s,
                                                 again=id(s) in far), short)
         trials = self._nested(fit, base, raw, known_free, short, trials)
+        trials = self._resumed(fit, base, raw, known_free, short, trials, stages)
         base, raw, trials = self._rebased(fit, base, raw, known_free, trials)
         # gains are those in the noise that the best explanation of each joint leaves
         before = fit, base, raw, trials

@@ -222,7 +222,7 @@ class Trials:
             return trials
         near = sorted((t for t in trials if t.problem is None and t.gain > _NEAR * top),
                       key=lambda t: -t.gain)[:_POLISHED]
-        if len(near) < 2:
+        if len(near) < 2 and near[0].held_gain > 0.0:
             return trials
 
         def smooth(scored: Scored, trial: Trial) -> Trial:
