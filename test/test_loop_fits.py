@@ -155,12 +155,12 @@ def test_a_limit_is_fitted_on_from_where_it_was_found_in_the_stage_before():
     fit, base, known, trials, scored, tried = limited()
     then, now = tried(4.2, PENDULUM.start), tried(6.0, base.point.theta)
     assert then.gain > 100.0 > 0.0 > now.gain
-    chooser = SimpleNamespace(trials=trials)
+    chooser = Selection.__new__(Selection)
+    chooser.trials = trials
 
     def resumed(accepted, stages=1):
         stage = Stage([then], 16.0, None, [], None, accepted)
-        return Selection._resumed(chooser, fit, base, known, (), [scored], [now],
-                                  [stage] * stages)[0]
+        return chooser._resumed(fit, base, known, (), [scored], [now], [stage] * stages)[0]
 
     elsewhere = replace(then, joint=None)
     assert resumed(elsewhere).gain > then.gain - 1.0

@@ -170,9 +170,7 @@ class Selection:
                     or trial.fitted.objective <= simpler.objective:
                 return trial
             start = Point(simpler.point.theta, trial.fitted.point.effects)
-            known = fit.white(fit.derivatives(simpler.point, known_free, nearest(base, raw)))
-            found = self.trials.run(fit, base, known, known_free, scored, start)
-            return max(trial, found, key=lambda t: t.gain)
+            return self._better(fit, base, raw, known_free, scored, trial, simpler.point, start)
 
         return each(lambda pair: again(*pair), list(zip(short, trials)))
 
@@ -190,13 +188,18 @@ class Selection:
             if then is None or trial.gain >= then.gain:
                 return trial
             theta, effect = then.fitted.point.theta, then.fitted.point.effects[-1]
-            known = fit.white(fit.derivatives(Point(theta, base.point.effects), known_free,
-                                              nearest(base, raw)))
-            found = self.trials.run(fit, base, known, known_free, scored,
-                                    Point(theta, (*base.point.effects, effect)))
-            return max(trial, found, key=lambda t: t.gain)
+            return self._better(fit, base, raw, known_free, scored, trial,
+                                Point(theta, base.point.effects),
+                                Point(theta, (*base.point.effects, effect)))
 
         return each(lambda pair: again(*pair), list(zip(short, trials)))
+
+    def _better(self, fit, base: Fitted, raw, known_free, scored: Scored, trial: Trial,
+                about: Point, start: Point) -> Trial:
+        """A trial, or that from another start with derivatives about a point, by their gains."""
+        known = fit.white(fit.derivatives(about, known_free, nearest(base, raw)))
+        found = self.trials.run(fit, base, known, known_free, scored, start)
+        return max(trial, found, key=lambda t: t.gain)
 
     def _rebased(self, fit, base: Fitted, raw, known_free, trials):
         """Base, its raw derivatives and trials, over the base that the trials' parameters lead to:

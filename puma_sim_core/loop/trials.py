@@ -213,7 +213,8 @@ class Trials:
         return screened if best is None else best[1]
 
     def polished(self, fit, base: Fitted, raw, known_free, short, trials) -> list[Trial]:
-        """Those that are near the best fitted again, with all derivatives about themselves.
+        """Those that are near the best fitted again, with all derivatives about themselves; the
+        best by itself only where the rows kept back speak against it as it is.
 
         raw : derivatives about the base.
         """
