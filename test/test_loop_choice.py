@@ -11,8 +11,6 @@ import numpy as np
 import pytest
 
 from puma_sim_core.effects import KINDS, parse_effect
-from puma_sim_core.loop import trials
-from puma_sim_core.loop.evidence import Scored
 from puma_sim_core.loop.explain import _confirmed
 from puma_sim_core.loop.outcome import no_name_stands
 from puma_sim_core.loop.prediction import Fitted, Point
@@ -100,8 +98,8 @@ def test_a_limit_that_was_met_once_goes_before_a_blow(limit, wanted):
     ("stribeck_friction", "coulomb_friction", 12.0, 100.5, "stribeck_friction"),
     ("stribeck_friction", "coulomb_friction", 12.0, 99.5, "coulomb_friction"),
     # kinds that cost as much as one that they contain must be better all the same
-    ("soft_stop", "joint_spring", 6.0, 102.0, "joint_spring"),
-    ("soft_stop", "joint_spring", 6.0, 103.0, "soft_stop")])
+    ("soft_stop", "joint_spring", 6.0, 101.0, "joint_spring"),
+    ("soft_stop", "joint_spring", 6.0, 102.0, "soft_stop")])
 def test_of_kinds_that_contain_each_other_the_simpler_goes_first(name, simpler, price, gain,
                                                                  wanted):
     richer, plain = trial((name, 2), gain, price), trial((simpler, 2), 100.0, 6.0)
@@ -162,6 +160,26 @@ def test_a_noise_is_refused_where_the_joints_speak_against_it(before, after, wan
     assert Selection._moved_away(np.array(before), np.array(after)) is wanted
 
 
+def test_a_further_name_must_reach_a_share_of_what_the_first_gained_at_its_joint():
+    first = replace(trial(A, 1000.0), fitted=fitted())
+    before = np.zeros((4, 3))
+    before[:, 0], before[:, 1] = np.sqrt(2.0 * 900.0 / 4), np.sqrt(2.0 * 100.0 / 4)
+    rows = np.ones((4, 3), dtype=bool)
+    rows[3, 1] = False
+    model = replace(first.fitted, errors=np.zeros((4, 3)))
+    named = Stage([first], 16.0, replace(fitted(), errors=before), [], None,
+                  replace(first, fitted=model))
+    gains = Selection._gains(SimpleNamespace(predictor=SimpleNamespace(fit_rows=rows)), named)
+    # a row that is not fitted says nothing; a joint where little was gained counts for a part
+    assert gains == pytest.approx({None: 1000.0, 1: 900.0, 2: 200.0, 3: 200.0})
+    stage = Stage([], 4.0, None, [], None, first=gains)
+    assert [stage.needed(joint) for joint in (None, 1, 3)] == pytest.approx([15.0, 13.5, 4.0])
+    assert [stage.needed_untried(joint) for joint in (None, 1, 3)] == pytest.approx(
+        [30.0, 27.0, 25.0])
+    alone = Stage([], 16.0, None, [], None)
+    assert alone.needed(1) == 16.0 and alone.needed_untried(None) == 25.0
+
+
 def test_kinds_that_an_effect_contains_are_those_tried_beside_it():
     chosen = trial(("position_dependent_friction", 2), 100.0)
     others = [("coulomb_friction", 2), ("coulomb_friction", 1), ("voltage_dead_band", 2)]
@@ -183,15 +201,6 @@ def test_kinds_that_an_effect_contains_are_those_tried_beside_it():
     (10000.0, 9975.0, True), (10000.0, 9960.0, False)])
 def test_a_tie_is_a_difference_that_the_log_cannot_show(best, other, wanted):
     assert tied(trial(A, best), trial(B, other)) is wanted
-
-
-@pytest.mark.parametrize("screened, count, wanted", [
-    (-2.0, 2, 3.0), (4.0, 1, 4.0), (80.0, 1, 6.0), (80.0, 3, 18.0)])
-def test_a_price_is_that_of_the_screening_within_what_a_coefficient_can_cost(screened, count,
-                                                                             wanted):
-    scored = Scored("payload", None, 10.0, 10.0, None, None, None,
-                    {str(n): 1.0 for n in range(count)}, None, screened)
-    assert trials._price(scored) == wanted
 
 
 def test_what_more_of_makes_less_of_an_effect_is_not_too_much():

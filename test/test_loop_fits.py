@@ -201,3 +201,19 @@ def test_of_the_sizes_of_other_mechanisms_nothing_is_known_beforehand():
     fit, _ = fit_of(PENDULUM, effect)
     slopes, told = fit.prior(Point(PENDULUM.start, (effect,)), [(0, "gap"), (0, "stiffness")])
     assert not slopes.any() and told.max() < 1e-3
+
+
+def test_a_step_to_a_model_is_the_one_that_leads_there():
+    mechanism = load_mechanism("puma560")
+    predictor = SimpleNamespace(fit_rows=None, mechanism=mechanism, feasible=lambda theta: True)
+    fit = PredictionFit(predictor, None)
+    point = Point(mechanism.start, (parse_effect(
+        "stribeck_friction:joint=1,torque=2,velocity=0.05,sliding=1"), parse_effect(
+        "current_limit:joint=3,current=2.0")))
+    pairs = ((0, "torque"), (0, "velocity"), (1, "current"))
+    rng = np.random.default_rng(3)
+    sizes = fit.sizes(point, pairs)
+    step = 0.2 * rng.normal(size=len(mechanism.start) + len(pairs))
+    other = fit.stepped(point, step, pairs, sizes)
+    assert fit.step_to(point, other, pairs, sizes) == pytest.approx(step, rel=1e-9)
+    assert other.effects[1].values["current"] != 2.0

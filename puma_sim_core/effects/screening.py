@@ -10,7 +10,7 @@ parameters of the effect, or into the reason why they are no legal ones.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -135,6 +135,10 @@ class Screening:
         noise. Without any it is not.
     prior : (parameter, median, factor of one deviation) of what a log may tell little about.
     plausible : parameter -> (low, high) size on a machine; above `high` "any plausible size" ends.
+    coordinates : (values of the effect, size of a middling friction torque of its joint) -> (k, 3)
+        array: coordinates that machines have about independently of each other, the middle of each
+        and one deviation of it. By these the kind pays for its coefficients; None: by the prior
+        of its candidates.
     fast : its columns are made of accelerations or rates of voltage, which are noise wherever the
         motion does not stand out of it.
     """
@@ -147,4 +151,5 @@ class Screening:
     unseen: tuple[tuple[str, float], ...] = ()
     prior: tuple[tuple[str, float, float], ...] = ()
     plausible: tuple[tuple[str, float, float], ...] = ()
+    coordinates: Callable[[Mapping[str, float], float], np.ndarray] | None = None
     fast: bool = False

@@ -27,7 +27,7 @@ from .result import DATA_FAULT, Explanation
 from .sampling import sample
 from .search import Search
 from .selected import Selected
-from .selection import LEAST_GAIN, Selection
+from .selection import Selection
 from .unnamed import Unnamed
 from .validate import rms
 from .wrong_zero import wrong_zeros
@@ -150,12 +150,12 @@ class Analysis:
         fit = PredictionFit(self.predictor, s.weighting)
         causal = CausalScreen(fit, final.point, final.errors, final.jacobian, p)
         self.progress("what could have been seen", 0.93)
-        threshold = max(LEAST_GAIN, s.stages[-1].threshold)
         rows = []
         for name, kind in self.search.library.items():
             for j in ([None] if not kind.per_joint else range(m.joints)):
                 pairs = [(c, causal.gram(c)) for c in kind.screening.candidates(causal.signals, j)]
-                row = detectable(name, None if j is None else j + 1, kind, pairs, threshold)
+                joint = None if j is None else j + 1
+                row = detectable(name, joint, kind, pairs, s.stages[-1].needed(joint))
                 rows.append(replace(row, unit=m.unit(row.unit)))
         self.progress("errors", 0.96)
         residuals, errors = self._errors()

@@ -7,7 +7,7 @@ structure than without it. So a log is cut into four folds, and each is predicte
 its parameters fitted to the other three (Stone 1974, J. R. Statist. Soc. B 36:111). One of them is
 the quarter that was kept back from the choice of the effects as well. What happens in one fold only,
 such as a blow, can be fitted nowhere else: a parameter that the other folds tell next to nothing of
-stays as the whole log has it. Logs that are kept back as a whole are predicted as they are.
+is what the whole log says beside the parameters that they do tell. Logs that are kept back as a whole are predicted as they are.
 """
 
 from __future__ import annotations
@@ -145,7 +145,10 @@ class HeldOut:
                 point, (), known=white[fold.predictor.fit_rows][:, columns],
                 known_free=tuple(pair for pair, is_free in zip(names, free) if is_free),
                 rounds=_ROUNDS)
-            return point if found is None else found.point
+            if found is None:
+                return point
+            return found.point if free.all() else _followed(whole, model.fitted, white[whole.rows],
+                                                            columns, found.point)
 
         found = self._fitted[model.key] = each(without, self.folds)
         return found
@@ -165,3 +168,23 @@ class HeldOut:
 
         rows = [fold.predictor.held_rows for fold, _ in zip(self.folds, points)]
         return rms(np.concatenate(each(of, range(len(points)))), np.concatenate(rows))
+
+
+def _followed(fit: PredictionFit, whole: Fitted, jacobian: np.ndarray, free: np.ndarray,
+              point: Point) -> Point:
+    """A model without one fold, its other parameters where the whole log has them beside those that
+    are free in it: a limit of the current follows the drive's constants.
+
+    fit, whole : the fit to the whole log, and what came of it; jacobian (N', p + c) its
+    derivatives; free (p + c,); point : the model whose free parameters were fitted.
+    """
+    names = whole.names
+    sizes = fit.sizes(whole.point, names)
+    told = fit.prior(whole.point, names)[1]
+    normal = jacobian.T @ jacobian + np.diag(np.r_[np.ones(len(free) - len(names)), told])
+    moved = fit.step_to(whole.point, point, names, sizes)
+    step = np.zeros(len(free))
+    step[~free] = -np.linalg.solve(normal[np.ix_(~free, ~free)],
+                                   normal[np.ix_(~free, free)] @ moved[free])
+    found = fit.stepped(point, step, names, sizes)
+    return point if found is None else found

@@ -193,8 +193,8 @@ def _refused(s, stage, t) -> str:
                 "clearly less")
     if best is not None and best.key not in s.retracted and tied(best, t):
         return "tied"
-    if t.gain <= stage.threshold:
-        return f"below the threshold of {stage.threshold:.0f} nat"
+    if t.gain <= stage.needed(t.joint):
+        return f"below the threshold of {stage.needed(t.joint):.0f} nat"
     if t.held_gain <= 0.0:
         return "it does not lower the error on the rows kept back"
     if best is not None:

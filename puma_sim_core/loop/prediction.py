@@ -237,7 +237,7 @@ class PredictionFit:
         that of a drive's constant and all torques; parts of the step."""
         sizes = self.sizes(point, pairs)
         for share in (1.0, 0.5, 0.25, 0.1):
-            moved = self._step(point, share * step, pairs, sizes)
+            moved = self.stepped(point, share * step, pairs, sizes)
             trial = None if moved is None else self.errors(moved)
             if trial is None:
                 continue
@@ -245,7 +245,7 @@ class PredictionFit:
             if share < 1.0:
                 continue
             back = self._newton(full, moved, trial, pairs)
-            moved = self._step(moved, back, pairs, self.sizes(moved, pairs))
+            moved = self.stepped(moved, back, pairs, self.sizes(moved, pairs))
             trial = None if moved is None else self.errors(moved)
             if trial is not None:
                 yield moved, trial
@@ -254,7 +254,9 @@ class PredictionFit:
         """What the columns of effects are derivatives per: the size of each parameter."""
         return [_size(point.effects[number], name) for number, name in pairs]
 
-    def _step(self, point, step, pairs, sizes) -> Point | None:
+    def stepped(self, point: Point, step, pairs, sizes) -> Point | None:
+        """The model a step (p + c,) away, in the units of the derivatives, within all bounds; None
+        where there is none such."""
         m = self.mechanism
         p = len(point.theta)
         theta = m.clip(point.theta + step[:p] * m.deviations)
@@ -271,6 +273,15 @@ class PredictionFit:
             if effects is None:
                 return None
         return Point(theta, effects)
+
+    def step_to(self, point: Point, other: Point, pairs, sizes) -> np.ndarray:
+        """(p + c,) the step from a model to another one of the same effects."""
+        step = list((other.theta - point.theta) / self.mechanism.deviations)
+        for (number, name), size in zip(pairs, sizes):
+            before, after = (at.effects[number].values[name] for at in (point, other))
+            scales = (point.effects[number].kind.name, name) in _SCALES
+            step.append(np.log(after / before) if scales else (after - before) / size)
+        return np.array(step)
 
     def held_sum(self, errors: np.ndarray) -> float:
         """Half the sum of squares of the white errors that are kept back."""

@@ -12,11 +12,19 @@ from .prediction import Fitted
 from .trials import Trial
 from .weighting import Weighting
 
+#: share of the first effect's gain that a further one must reach: below it stands what the model of
+#: the first one is not exact in
+LEAST_SHARE = 0.015
+#: least gain [nat] of a name that does not act on any row kept back, and least share of the first
+#: effect's gain if it is a further one
+LEAST_UNTRIED, UNTRIED_SHARE = 25.0, 0.03
+
 
 @dataclass
 class Stage:
-    """One stage: trials best first, the threshold of a name, the base that gains are over, and what
-    the screenings said."""
+    """One stage: trials best first, the threshold [nat] of a name by chance, the base that gains are
+    over, and what the screenings said; first: by joint (None: the whole arm) the gain [nat] of the
+    effect that was named first, of which a further one must reach a share."""
 
     trials: list[Trial]
     threshold: float
@@ -25,6 +33,15 @@ class Stage:
     weighting: Weighting
     accepted: Trial | None = None
     placebo: float = 0.0
+    first: dict[int | None, float] = field(default_factory=dict)
+
+    def needed(self, joint: int | None) -> float:
+        """Least gain [nat] of a name on a joint (1-based; None: the whole arm)."""
+        return max(self.threshold, LEAST_SHARE * self.first.get(joint, 0.0))
+
+    def needed_untried(self, joint: int | None) -> float:
+        """The same of a name that does not act on any row kept back."""
+        return max(self.needed(joint), LEAST_UNTRIED, UNTRIED_SHARE * self.first.get(joint, 0.0))
 
 
 def entered(stages: list[Stage], key: tuple) -> Stage | None:

@@ -34,12 +34,9 @@ MOST_EFFECTS = 4
 LEAST_GAIN = 16.0
 #: what a gain must exceed the placebos' greatest by: a factor and an addend
 PLACEBO_FACTOR, PLACEBO_MARGIN, PLACEBOS = 1.2, 2.0, 24
-#: share of the first effect's gain that a further one must reach: below it stands what the
-#: model of the first one is not exact in
-LEAST_SHARE = 0.015
-#: least gain [nat] of a name that does not act on any row kept back, and least share of the first
-#: effect's gain if it is a further one
-LEAST_UNTRIED, UNTRIED_SHARE = 25.0, 0.03
+#: least share of the first effect's gain that counts at a joint: what is not exact there shows
+#: elsewhere, too
+ELSEWHERE = 0.2
 #: least gain [nat] of a name that gives a joint two masses: no placebo goes through the model, and
 #: of 510 names of earlier scores the wrong ones of these had 17 to 35 nat, the right ones 165 and
 #: more but for one of size 0.55
@@ -49,7 +46,7 @@ LEAST_TWO_MASSES = 40.0
 _AGAIN, _WORTH_MORE = 4, 0.03
 #: gain [nat] that a kind must be better by than one that it contains, the difference of their
 #: prices included, and than one it replaces
-PARSIMONY, SWAP = 2.5, 3.0
+PARSIMONY, SWAP = 1.5, 3.0
 #: most times that derivatives are taken anew, at the end and within a stage
 _REFITS, _STAGE_REFITS = 4, 2
 #: gain [nat] of new derivatives below which the model that gains are over counts as fitted: a base
@@ -261,21 +258,29 @@ class Selection:
         if best is not None and best.gain > LEAST_GAIN:
             chance = self._placebo(fit, best, short, nearest(base, raw))
             accepted = self._parsimonious(best, trials)
-        untried = LEAST_UNTRIED
         threshold = max(LEAST_GAIN, PLACEBO_FACTOR * chance + PLACEBO_MARGIN)
-        if stages and stages[0].accepted is not None:
-            first = stages[0].accepted.gain
-            threshold = max(threshold, LEAST_SHARE * first)
-            untried = max(untried, UNTRIED_SHARE * first)
+        stage = Stage(trials, threshold, base, screened, weighting, None, chance,
+                      self._gains(stages[0]) if stages else {})
         # one that does not lower the error on rows kept back gives way to the next that does
         passing = [t for t in trials if t.problem is None and t.held_gain > 0.0
-                   and t.gain > max(threshold, _GIVING_WAY * best.gain,
-                                    untried if t.untried else 0.0,
+                   and t.gain > max(stage.needed(t.joint), _GIVING_WAY * best.gain,
+                                    stage.needed_untried(t.joint) if t.untried else 0.0,
                                     LEAST_TWO_MASSES if t.name in TWO_MASSES else 0.0)
                    ] if best else []
         if accepted is not None and accepted not in passing:
             accepted = self._parsimonious(passing[0], passing) if passing else None
-        return Stage(trials, threshold, base, screened, weighting, accepted, chance)
+        stage.accepted = accepted
+        return stage
+
+    def _gains(self, stage: Stage) -> dict[int | None, float]:
+        """By joint (None: all of them) the gain [nat] of the effect that a stage named."""
+        if stage.accepted is None:
+            return {}
+        rows, total = self.predictor.fit_rows, stage.accepted.gain
+        less = 0.5 * np.where(
+            rows, stage.base.errors ** 2 - stage.accepted.fitted.errors ** 2, 0.0).sum(axis=0)
+        return {None: total, **{j + 1: max(min(gain, total), ELSEWHERE * total)
+                                for j, gain in enumerate(less)}}
 
     @staticmethod
     def _moved_away(before: np.ndarray, after: np.ndarray) -> bool:

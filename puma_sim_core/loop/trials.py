@@ -16,13 +16,11 @@ import numpy as np
 from ..effects import KINDS, Effect
 from ..effects.screening import Illegal
 from ..errors import ParameterError
+from . import prices
 from .evidence import Scored
 from .parallel import each
 from .prediction import TWO_MASSES, Fitted, Point
 
-#: least and greatest price [nat] of a coefficient: what a screening promised is no measure of it
-#: where the fit then goes far from there
-_LEAST_PRICE, _MOST_PRICE = 1.5, 6.0
 #: a tie: gains closer than this [nat], or than this share of the better one
 TIE_NATS, TIE_SHARE = 8.0, 0.003
 #: share of its screened gain that a fit must reach, else all derivatives are taken anew
@@ -133,7 +131,7 @@ class Trials:
             fitted = _lowest(fitted, *self._anew(fit, base, known, known_free, free, starts,
                                                  not _fixed(scored)))
         if fitted is None:
-            return Trial(scored.name, scored.joint, 0.0, 0.0, None, _price(scored),
+            return Trial(scored.name, scored.joint, 0.0, 0.0, None, prices.screened(scored),
                          "the model with it does not stay finite along the log")
         return self._judged(fit, base, scored, fitted)
 
@@ -178,7 +176,7 @@ class Trials:
         return Point(theta, (*base.point.effects, whole))
 
     def _judged(self, fit, base: Fitted, scored: Scored, fitted: Fitted) -> Trial:
-        price = _price(scored)
+        price = prices.price(scored, fit, fitted)
         gain = base.objective - fitted.objective - price
         return Trial(scored.name, scored.joint, gain, self.held_gain(fit, base, fitted, gain),
                      fitted, price, self.implausible(fitted.point.effects[-1]))
@@ -329,12 +327,6 @@ def _fixed(scored: Scored) -> bool:
 def _lowest(*fits: Fitted | None) -> Fitted | None:
     """The fit with the lowest objective of those that there are."""
     return min((f for f in fits if f is not None), key=lambda f: f.objective, default=None)
-
-
-def _price(scored: Scored) -> float:
-    """What the free coefficients of a hypothesis cost [nat]."""
-    count = len(scored.values)
-    return min(max(scored.price, _LEAST_PRICE * count), _MOST_PRICE * count)
 
 
 def tied(best: Trial, other: Trial) -> bool:

@@ -23,7 +23,7 @@ def wrong_zeros(stages) -> list[Fault]:
         for trial in stage.trials:
             if (trial.name == "encoder_offset" and trial.problem is not None
                     and trial.fitted is not None
-                    and trial.gain > max(best, stage.threshold) + _CLEARER):
+                    and trial.gain > max(best, stage.needed(trial.joint)) + _CLEARER):
                 angle = trial.fitted.point.effects[-1].values["angle"]
                 found.append(Fault(
                     f"position{trial.joint}", None,
