@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from loop_logs import pieces, record
-from puma_sim_core.effects import Effect, parse_effect
+from puma_sim_core.effects import KINDS, Effect, parse_effect
 from puma_sim_core.loop import explain
 from puma_sim_core.loop.evidence import Scored
 from puma_sim_core.loop.prediction import _FARTHEST, Point, PredictionFit, _bounded_step
@@ -175,6 +175,39 @@ def test_a_trial_by_itself_is_fitted_to_its_end_where_rows_kept_back_speak_again
     assert trials.polished(fit, base, None, (), [scored], [rough]) == [rough]
     polished, = trials.polished(fit, base, None, (), [scored], [replace(rough, held_gain=-1.0)])
     assert polished.gain > rough.gain
+
+
+def test_a_bump_that_came_out_as_nothing_is_tried_again_as_machines_have_it():
+    true = parse_effect("stribeck_friction:joint=1,torque=0.03,velocity=0.08,sliding=0.03")
+    plant = PENDULUM.plant(effects=(true,))
+    log = record(PENDULUM, plant, volts=NOISE, noise=1e-5)
+    problem, _, predictor = pieces(PENDULUM, log, NOISE, 1e-5)
+    fit = PredictionFit(predictor, predictor.white_weighting(predictor.errors(plant)))
+    base = fit.run(Point(PENDULUM.start, ()), (), rounds=8)
+    known = fit.white(fit.derivatives(base.point, ()))
+    chooser = Selection.__new__(Selection)
+    chooser.library, chooser.trials = KINDS, Trials(predictor, problem)
+
+    def tried(text):
+        effect = parse_effect(text)
+        scored = Scored(effect.kind.name, 1, 0.0, 0.0, None, None, None, dict(effect.values))
+        start = Point(PENDULUM.start, (effect,))
+        return scored, chooser.trials.run(fit, base, known, (), scored, start)
+
+    level, plain = tried("coulomb_friction:joint=1,torque=0.04")
+    bump, good = tried("stribeck_friction:joint=1,torque=0.03,velocity=0.08,sliding=0.03")
+    nothing = Effect(true.kind, 1, {**true.values, "torque": 0.0, "velocity": 1e-3,
+                                    "sliding": plain.fitted.point.effects[0].values["torque"]})
+    stuck = replace(good, gain=plain.gain - 3.0, fitted=replace(
+        plain.fitted, point=Point(plain.fitted.point.theta, (nothing,))))
+
+    def revived(trial):
+        return chooser._revived(fit, base, None, (), [level, bump], [plain, trial])
+
+    assert good.gain > plain.gain + 10.0
+    assert revived(stuck)[1].gain > good.gain - 1.0 and revived(stuck)[0] is plain
+    # one that is more than what it contains stays as it is
+    assert revived(good)[1] is good
 
 
 @pytest.mark.parametrize("stiffness, damping", [(5e5, 150.0), (4e6, 20.0), (6e4, 900.0)])

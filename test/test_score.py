@@ -228,8 +228,8 @@ def test_a_whole_score_holds_what_was_asked_for():
 
 
 @pytest.mark.parametrize("seed, development, allowed", [
-    (906_000, False, True), (905_999, False, False), (2300, False, False), (2300, True, True),
-    (1090, True, False), (2990, True, False), (906_000, True, False)])
+    (907_000, False, True), (906_999, False, False), (2300, False, False), (2300, True, True),
+    (1090, True, False), (2990, True, False), (907_000, True, False)])
 def test_seeds_of_scores_and_of_development_are_never_mixed(seed, development, allowed, tmp_path,
                                                             capsys):
     if allowed:

@@ -139,6 +139,9 @@ class Screening:
         array: coordinates that machines have about independently of each other, the middle of each
         and one deviation of it. By these the kind pays for its coefficients; None: by the prior
         of its candidates.
+    usual : level [N.m] of the dry friction that it contains -> values of the effect with a shape as
+        machines have it: where the shape has come out as nothing, no slope says how fast it would
+        be, and a fit begins there again.
     fast : its columns are made of accelerations or rates of voltage, which are noise wherever the
         motion does not stand out of it.
     """
@@ -152,4 +155,5 @@ class Screening:
     prior: tuple[tuple[str, float, float], ...] = ()
     plausible: tuple[tuple[str, float, float], ...] = ()
     coordinates: Callable[[Mapping[str, float], float], np.ndarray] | None = None
+    usual: Callable[[float], dict[str, float]] | None = None
     fast: bool = False

@@ -5,9 +5,10 @@
 A quarter of a log holds a few windows, and the luck of a few windows can be worse with the true
 structure than without it. So a log is cut into four folds, and each is predicted by the model with
 its parameters fitted to the other three (Stone 1974, J. R. Statist. Soc. B 36:111). One of them is
-the quarter that was kept back from the choice of the effects as well. What happens in one fold only,
-such as a blow, can be fitted nowhere else: a parameter that the other folds tell next to nothing of
-is what the whole log says beside the parameters that they do tell. Logs that are kept back as a whole are predicted as they are.
+the quarter that was kept back from the choice of the effects as well. What happens in one fold
+only, such as a blow, can be fitted nowhere else: a parameter that the other folds tell next to
+nothing of is what the whole log says beside the parameters that they do tell. Logs that are kept
+back as a whole are predicted as they are.
 """
 
 from __future__ import annotations

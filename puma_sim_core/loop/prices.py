@@ -17,6 +17,8 @@ from .prediction import Fitted, PredictionFit
 #: least and greatest price [nat] of a coefficient by the screening: what that promised is no
 #: measure of it where the fit then goes far from there
 _LEAST, _MOST = 1.5, 6.0
+#: what is told of a parameter, per its size, where the log tells nothing
+_NOTHING = 1e-8
 #: step of a difference, as a share of the size of a parameter
 _STEP = 1e-4
 
@@ -69,10 +71,11 @@ def _slope(coordinates, effect: Effect, name: str, size: float, scale: float) ->
 
 def _covariance(fit: PredictionFit, fitted: Fitted, own: list[int]) -> np.ndarray:
     """(c, c) what the log leaves of some free parameters of the effects, all others fitted, per
-    size."""
+    size; their own priors tell nothing here."""
     J = fitted.jacobian
     p = J.shape[1] - len(fitted.names)
-    _, told = fit.prior(fitted.point, fitted.names)
+    told = fit.prior(fitted.point, fitted.names)[1].copy()
+    told[own] = _NOTHING
     inverse = np.linalg.inv(J.T @ J + np.diag(np.concatenate([np.ones(p), told])))
     at = p + np.array(own)
     return inverse[np.ix_(at, at)]

@@ -22,9 +22,9 @@ LEAST_UNTRIED, UNTRIED_SHARE = 25.0, 0.03
 
 @dataclass
 class Stage:
-    """One stage: trials best first, the threshold [nat] of a name by chance, the base that gains are
-    over, and what the screenings said; first: by joint (None: the whole arm) the gain [nat] of the
-    effect that was named first, of which a further one must reach a share."""
+    """One stage: trials best first, the threshold [nat] of a name by chance, the base that gains
+    are over, and what the screenings said; first: by joint (None: the whole arm) the gain [nat] of
+    the effect that was named first, of which a further one must reach a share."""
 
     trials: list[Trial]
     threshold: float

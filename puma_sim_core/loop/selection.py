@@ -59,6 +59,8 @@ _BETTER = 0.97
 _EXACT = 1e-4
 #: share of its gain from which on a rival is tried in the place of an effect, and how many
 _RIVAL, _RIVALS = 0.5, 3
+#: gain of likelihood [nat] below which a trial is no more than a kind that it contains
+_NO_MORE = 1.0
 #: least share of the best gain of what is named in place of the best
 _GIVING_WAY = 0.4
 
@@ -156,13 +158,8 @@ class Selection:
     def _nested(self, fit, base: Fitted, raw, known_free, short, trials) -> list[Trial]:
         """Trials with those that fit worse than a kind that they contain fitted again, from the
         parameters of that one on and with derivatives about it: they went astray."""
-        fitted = {t.key: t.fitted for t in trials if t.fitted is not None}
-
         def again(scored: Scored, trial: Trial) -> Trial:
-            inner = [fitted[name, scored.joint]
-                     for name in self.library[scored.name].screening.contains
-                     if (name, scored.joint) in fitted]
-            simpler = min(inner, key=lambda f: f.objective, default=None)
+            simpler = self._simpler(trial, trials)
             if trial.fitted is None or simpler is None \
                     or trial.fitted.objective <= simpler.objective:
                 return trial
@@ -170,6 +167,30 @@ class Selection:
             return self._better(fit, base, raw, known_free, scored, trial, simpler.point, start)
 
         return each(lambda pair: again(*pair), list(zip(short, trials)))
+
+    def _revived(self, fit, base: Fitted, raw, known_free, short, trials) -> list[Trial]:
+        """Trials with those that came out as no more than a kind that they contain fitted again,
+        from that one with a shape as machines have it."""
+        def again(scored: Scored, trial: Trial) -> Trial:
+            usual = self.library[scored.name].screening.usual
+            simpler = self._simpler(trial, trials)
+            if usual is None or trial.fitted is None or simpler is None \
+                    or trial.fitted.objective < simpler.objective - _NO_MORE:
+                return trial
+            *others, inner = simpler.point.effects
+            last = trial.fitted.point.effects[-1]
+            effect = Effect(last.kind, last.joint, {**last.values, **usual(inner.values["torque"])})
+            theta = simpler.point.theta
+            return self._better(fit, base, raw, known_free, scored, trial,
+                                Point(theta, tuple(others)), Point(theta, (*others, effect)))
+
+        return each(lambda pair: again(*pair), list(zip(short, trials)))
+
+    def _simpler(self, trial: Trial, trials) -> Fitted | None:
+        """The best fit of a kind that a trial contains, on its joint."""
+        return min((t.fitted for t in trials if t.fitted is not None and t.joint == trial.joint
+                    and t.name in self.library[trial.name].screening.contains),
+                   key=lambda f: f.objective, default=None)
 
     def _resumed(self, fit, base: Fitted, raw, known_free, short, trials, stages) -> list[Trial]:
         """Trials with those that gain less than in the stage before, on another joint than what was
@@ -249,6 +270,7 @@ class Selection:
             # what no effect explains was taken for noise, and the fit has moved away from it
             fit, base, raw, trials = before
             weighting = fit.weighting
+        trials = self._revived(fit, base, raw, known_free, short, trials)
         trials = self.trials.polished(fit, base, raw, known_free, short, trials)
         base, raw, trials = self._rebased(fit, base, raw, known_free, trials)
         best = max((t for t in trials if t.problem is None), key=lambda t: t.gain, default=None)

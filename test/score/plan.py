@@ -14,7 +14,7 @@ SHARES = {"nothing": 150, "effect": 108, "pair": 32, "outside": 26, "fault": 24}
 COUNT = sum(SHARES.values())
 #: seeds that no threshold was ever set on start here; those for development lie between these. The
 #: misses of earlier scores, from 900000 on, were looked at since
-FINAL_SEED = 906_000
+FINAL_SEED = 907_000
 DEVELOPMENT_SEEDS = (2000, 3000)
 
 

@@ -2,7 +2,7 @@
 # Copyright the puma-sim contributors
 """The scored batch: makes fresh blind records, explains them, prints the table.
 
-  python test/score/run.py                       the score: 340 records, seeds from 906000 on
+  python test/score/run.py                       the score: 340 records, seeds from 907000 on
   python test/score/run.py --development --seed 2300 --count 40
   python test/score/run.py --development --seed 2300 --only payload=3 --only nothing=5
 

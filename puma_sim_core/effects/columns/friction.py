@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from . import dry_friction
 from ..screening import TORQUE_COLUMN, Candidate, Illegal, Screening, Signals
 from .common import (candidate, fastest, is_arm, motor_torque, moves, on_joint, positive, recursion,
                      smooth_sign, stretches, warming)
@@ -23,13 +24,6 @@ _MOST_WARMED = 0.9
 _GREATEST_COEFFICIENT = 0.5
 #: what the load of a gear may be: the weight alone, or the torque that it transmits
 _TRANSMITTED = (0.0, 1.0)
-#: shares of the level of dry friction that its shape has on machines, middle and one deviation:
-#: difference by direction, Stribeck's excess, variation over the position
-_DIFFERENCE, _EXCESS, _VARIATION = (0.0, 0.3), (0.65, 0.3), (0.0, 0.4)
-#: Stribeck velocity of machines [rad/s], middle, and one deviation of its logarithm
-_VELOCITY = 0.045, 0.6
-#: most deviations that one counts as: machines are not quite Gaussian
-_FARTHEST = 3.0
 
 
 def _direction(signals: Signals, joint: int) -> np.ndarray:
@@ -217,42 +211,6 @@ def warm_up(signals: Signals, joint: int) -> list[Candidate]:
     return warming(signals, joint, column, values, [0.4], [0.3], TORQUE_COLUMN)
 
 
-def _level(torque: float, scale: float) -> tuple[float, float, float]:
-    """A level [N.m] of dry friction, in the prior of all of them."""
-    return torque, 0.5 * scale, scale
-
-
-def _shape(torque: float, level: float, share: tuple[float, float]) -> tuple[float, float, float]:
-    """A torque [N.m] beside its middle share of a level, in the prior of all of them."""
-    away = torque - share[0] * level
-    return away, 0.0, max(share[1] * level, abs(away) / _FARTHEST, 1e-12)
-
-
-def _coulomb_coordinates(values, scale):
-    return np.array([_level(values["torque"], scale)])
-
-
-def _asymmetric_coordinates(values, scale):
-    mean = 0.5 * (values["positive"] + values["negative"])
-    half = 0.5 * (values["positive"] - values["negative"])
-    return np.array([_level(mean, scale), _shape(half, mean, _DIFFERENCE)])
-
-
-def _stribeck_coordinates(values, scale):
-    middle, deviation = _VELOCITY
-    away = np.log(max(values["velocity"], 1e-12) / middle)
-    return np.array([_level(values["sliding"], scale),
-                     _shape(values["torque"], values["sliding"], _EXCESS),
-                     (away, 0.0, max(deviation, abs(away) / _FARTHEST))])
-
-
-def _position_coordinates(values, scale):
-    mean, amplitude, angle = values["torque"], values["amplitude"], values["angle"]
-    return np.array([_level(mean, scale),
-                     _shape(amplitude * np.cos(angle), mean, _VARIATION),
-                     _shape(amplitude * np.sin(angle), mean, _VARIATION)])
-
-
 _NOT_BY_VOLTAGE = ("follows the sign of the velocity, the dead-band that of the voltage: the two "
                    "differ where gravity drives the joint or brakes it")
 
@@ -271,7 +229,7 @@ SCREENINGS = {
             ("backlash", "the friction lasts as long as the joint moves")),
         excitation="At least six reversals of the joint, with motion at several speeds.",
         plausible=(("torque", 0.4, 40.0),),
-        coordinates=_coulomb_coordinates),
+        coordinates=dry_friction.coulomb),
     "asymmetric_coulomb_friction": Screening(
         asymmetric_coulomb,
         look_alikes=(
@@ -287,7 +245,7 @@ SCREENINGS = {
         excitation="Motion in both directions for about equal times, with many reversals.",
         contains=("coulomb_friction",),
         plausible=(("positive", 0.4, 40.0), ("negative", 0.4, 40.0)),
-        coordinates=_asymmetric_coordinates),
+        coordinates=dry_friction.asymmetric),
     "stribeck_friction": Screening(
         stribeck,
         look_alikes=(
@@ -303,7 +261,8 @@ SCREENINGS = {
         excitation="Crawling at 0.01 to 0.2 rad/s, for example slow triangles of the position.",
         contains=("coulomb_friction",),
         plausible=(("torque", 0.4, 30.0), ("velocity", 0.008, 0.15), ("sliding", 0.0, 40.0)),
-        coordinates=_stribeck_coordinates),
+        prior=(("velocity", *dry_friction.VELOCITY),),
+        coordinates=dry_friction.stribeck, usual=dry_friction.usual_stribeck),
     "presliding_friction": Screening(
         presliding,
         look_alikes=(
@@ -318,7 +277,9 @@ SCREENINGS = {
             ("soft_stop", "the loop comes after each reversal, at any position")),
         excitation="Reversals with slow travel of 0.1 to 1 mrad about them.",
         contains=("coulomb_friction",),
-        plausible=(("torque", 0.4, 40.0), ("stiffness", 1e3, 1e6))),
+        plausible=(("torque", 0.4, 40.0), ("stiffness", 1e3, 1e6)),
+        prior=(("stiffness", *dry_friction.STIFFNESS),),
+        coordinates=dry_friction.presliding),
     "load_dependent_friction": Screening(
         load_dependent,
         look_alikes=(
@@ -344,7 +305,7 @@ SCREENINGS = {
         excitation="Reversals over the full range of the joint.",
         contains=("coulomb_friction",),
         plausible=(("amplitude", 0.4, 30.0), ("torque", 0.4, 40.0)),
-        coordinates=_position_coordinates),
+        coordinates=dry_friction.position),
     "quadratic_friction": Screening(
         quadratic,
         look_alikes=(
