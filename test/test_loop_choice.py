@@ -195,6 +195,42 @@ def test_kinds_that_an_effect_contains_are_those_tried_beside_it():
     assert Selection._contained(chooser, [stage], blow.key, (blow.key,)) == []
 
 
+@pytest.mark.parametrize("ends, wanted, gain", [
+    # what was promised holds: nothing else is asked
+    ({"position": 1000.0, "coulomb": 1083.0, "asymmetric": 900.0}, "position", 100.0),
+    # it does not: another kind that contains the simpler one is better
+    ({"position": 1000.0, "coulomb": 1006.0, "asymmetric": 993.0}, "asymmetric", 109.0),
+    # ... but not by what its coefficients cost
+    ({"position": 1000.0, "coulomb": 1001.0, "asymmetric": 999.5}, "coulomb", 103.0)])
+def test_kinds_whose_trials_had_not_come_to_their_end_are_fitted_to_it(ends, wanted, gain):
+    full = {"position": "position_dependent_friction", "coulomb": "coulomb_friction",
+            "asymmetric": "asymmetric_coulomb_friction"}
+    values = {"position": "torque=2,amplitude=1", "coulomb": "torque=2",
+              "asymmetric": "positive=2,negative=1"}
+
+    def tried(short, gain, price):
+        effect = parse_effect(f"{full[short]}:joint=2,{values[short]}")
+        model = Fitted(Point(np.zeros(1), (effect,)), np.zeros((4, 3)), 0.0, ())
+        return replace(trial((full[short], 2), gain, price), fitted=model)
+
+    position, *others = (tried("position", 100.0, 10.0), tried("coulomb", 20.0, 6.0),
+                         tried("asymmetric", 80.0, 8.0))
+    stage = Stage([position, *others], 16.0, None, [], None, position)
+    ending = {full[short]: objective for short, objective in ends.items()}
+    chooser = Selection.__new__(Selection)
+    chooser.library, chooser.mechanism = KINDS, None
+    chooser.predictor = SimpleNamespace(fit_rows=None, mechanism=None)
+    chooser.trials = SimpleNamespace(free=lambda point, keys: ())
+    chooser._exact = lambda fit, at, pairs: (
+        Fitted(at, np.zeros((4, 3)), ending[at.effects[0].kind.name], ()), None)
+    prices, swapped = {position.key: position.price}, {}
+    point, keys = chooser._simplified(position.fitted.point, (position.key,), None, [stage],
+                                      prices, swapped)
+    assert keys == ((full[wanted], 2),) and point.effects[0].kind.name == full[wanted]
+    selected = Selected(fitted(), fitted(*keys), keys, [stage], None, swapped=swapped)
+    assert selected.gain_of(keys[0]) == pytest.approx(gain) and keys[0] in prices
+
+
 @pytest.mark.parametrize("best, other, wanted", [
     (100.0, 93.0, True), (100.0, 91.0, False),
     # of much evidence a small share is no difference

@@ -59,6 +59,9 @@ _BETTER = 0.97
 _EXACT = 1e-4
 #: share of its gain from which on a rival is tried in the place of an effect, and how many
 _RIVAL, _RIVALS = 0.5, 3
+#: difference [nat] between what two trials promised and what their fits come to, from which on they
+#: count as unfinished
+_UNFINISHED = 3.0
 #: gain of likelihood [nat] below which a trial is no more than a kind that it contains
 _NO_MORE = 1.0
 #: least share of the best gain of what is named in place of the best
@@ -376,32 +379,45 @@ class Selection:
 
     def _simplified(self, point, keys, weighting, stages, prices, swapped):
         """Effects that come out as a kind that they contain, with all others in the model, are
-        replaced by it: when they were tried, its fit may not have come to its end."""
+        replaced by it: when they were tried, its fit may not have come to its end. Where that
+        shows, the other kinds that contain it are fitted to their end, too."""
         fit = PredictionFit(self.predictor, weighting)
         for number, key in enumerate(keys):
-            trials = self._contained(stages, key, keys)
-            if not trials:
+            contained = self._contained(stages, key, keys)
+            if not contained:
                 continue
-            full, _ = self._exact(fit, point, self.trials.free(point, keys))
-            # from what was tried, and with what the two have in common as it is now
-            inner = [(t, effect) for t in trials for effect in (
-                t.fitted.point.effects[-1],
-                _alike(t.fitted.point.effects[-1], full.point.effects[number]))]
-            found = None
-            for t, effect in inner:
-                simpler = (*keys[:number], t.key, *keys[number + 1:])
-                at = Point(full.point.theta, (*full.point.effects[:number], effect,
-                                              *full.point.effects[number + 1:]))
-                fitted, _ = self._exact(fit, at, self.trials.free(at, simpler))
-                if found is None or fitted.objective < found[0].objective:
-                    found = fitted, simpler, t
-            fitted, simpler, t = found
-            lost, less = fitted.objective - full.objective, prices[key] - t.price
+
+            def exact(about: Point, trial: Trial, effect: Effect) -> tuple[Fitted, Trial]:
+                others = (*keys[:number], trial.key, *keys[number + 1:])
+                at = Point(about.theta, (*about.effects[:number], effect,
+                                         *about.effects[number + 1:]))
+                return self._exact(fit, at, self.trials.free(at, others))[0], trial
+
             stage = entered(stages, key)
+            own = next(t for t in stage.trials if t.key == key)
+            first = best = exact(point, own, point.effects[number])
+            full = first[0].point
+            # from what was tried, and with what the two have in common as it is now
+            simpler = min((exact(full, t, effect) for t in contained for effect in (
+                t.fitted.point.effects[-1],
+                _alike(t.fitted.point.effects[-1], full.effects[number]))),
+                key=lambda pair: pair[0].objective)
+            promised = own.gain + own.price - simpler[1].gain - simpler[1].price
+            if abs(simpler[0].objective - first[0].objective - promised) > _UNFINISHED:
+                best = min((first, *(exact(full, t, t.fitted.point.effects[-1])
+                                     for t in self._containing(stage, simpler[1], keys))),
+                           key=lambda pair: pair[0].objective + pair[1].price)
             gain = stage.accepted.gain
-            if lost < max(PARSIMONY, less + _EXACT * gain):
-                prices[t.key], swapped[t.key] = t.price, (stage, gain - lost + less)
-                point, keys = fitted.point, simpler
+            lost = simpler[0].objective - best[0].objective
+            less = best[1].price - simpler[1].price
+            chosen = simpler if lost < max(PARSIMONY, less + _EXACT * gain) else best
+            if chosen is first:
+                continue
+            fitted, trial = chosen
+            prices[trial.key] = trial.price
+            swapped[trial.key] = stage, (gain + first[0].objective - fitted.objective
+                                         + own.price - trial.price)
+            point, keys = fitted.point, (*keys[:number], trial.key, *keys[number + 1:])
         return point, keys
 
     def _contained(self, stages, key, keys) -> list[Trial]:
@@ -411,6 +427,12 @@ class Selection:
             return []
         return [t for t in stage.trials if t.joint == key[1] and t.name in screening.contains
                 and t.key not in keys and t.fitted is not None and t.problem is None]
+
+    def _containing(self, stage: Stage, simpler: Trial, keys) -> list[Trial]:
+        """Trials of a stage, on the joint of a simpler one, of the kinds that contain it."""
+        return [t for t in stage.trials if t.joint == simpler.joint and t.key not in keys
+                and simpler.name in self.library[t.name].screening.contains
+                and t.fitted is not None and t.problem is None]
 
     # the pieces
 
