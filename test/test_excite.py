@@ -16,7 +16,7 @@ from puma_sim_core.effects import KINDS, parse_effect
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.loop import explain
 from puma_sim_core.loop.design import design, suspects_of
-from puma_sim_core.loop.selection import LEAST_GAIN
+from puma_sim_core.loop.selected import LEAST_GAIN
 from puma_sim_core.loop.evidence import screen
 from puma_sim_core.loop.excitation import Builder, Limits, voltages
 from puma_sim_core.loop.ingest import Log

@@ -13,9 +13,10 @@ import pytest
 from puma_sim_core.effects import KINDS, parse_effect
 from puma_sim_core.loop.explain import _confirmed
 from puma_sim_core.loop.outcome import no_name_stands
-from puma_sim_core.loop.prediction import Fitted, Point
+from puma_sim_core.loop.prediction import Fitted, Point, PredictionFit
 from puma_sim_core.loop.selected import Selected, Stage
 from puma_sim_core.loop.selection import Selection
+from puma_sim_core.loop.tidying import Tidying
 from puma_sim_core.loop.trials import Trial, Trials, tied
 from puma_sim_core.loop.wrong_zero import wrong_zeros
 from puma_sim_core.mechanisms import load_mechanism
@@ -126,7 +127,7 @@ def test_rivals_are_the_best_and_those_that_contain_what_was_chosen():
               (("asymmetric_coulomb_friction", 2), 40.0)]
     trials = [chosen, *(replace(trial(*each), fitted=fitted()) for each in others)]
     stage = Stage(trials, 15.0, None, [], None, chosen)
-    found = Selection._rivals(SimpleNamespace(library=KINDS), [stage], chosen.key, (chosen.key,))
+    found = Tidying._rivals(SimpleNamespace(library=KINDS), [stage], chosen.key, (chosen.key,))
     assert [t.name for t in found] == ["voltage_dead_band", "stribeck_friction",
                                        "load_dependent_friction", "position_dependent_friction"]
 
@@ -186,13 +187,13 @@ def test_kinds_that_an_effect_contains_are_those_tried_beside_it():
     trials = [chosen, *(replace(trial(key, 90.0), fitted=fitted()) for key in others)]
     stage = Stage(trials, 15.0, None, [], None, chosen)
     chooser = SimpleNamespace(library=KINDS)
-    inner = Selection._contained(chooser, [stage], chosen.key, (chosen.key,))
+    inner = Tidying._contained(chooser, [stage], chosen.key, (chosen.key,))
     assert [t.key for t in inner] == [("coulomb_friction", 2)]
     # a blow fits any single event: what it contains is chosen elsewhere
     blow = trial(("impulse", 2), 100.0)
     stage = Stage([blow, replace(trial(("current_limit", 2), 99.0), fitted=fitted())], 15.0, None,
                   [], None, blow)
-    assert Selection._contained(chooser, [stage], blow.key, (blow.key,)) == []
+    assert Tidying._contained(chooser, [stage], blow.key, (blow.key,)) == []
 
 
 @pytest.mark.parametrize("ends, wanted, gain", [
@@ -202,7 +203,8 @@ def test_kinds_that_an_effect_contains_are_those_tried_beside_it():
     ({"position": 1000.0, "coulomb": 1006.0, "asymmetric": 993.0}, "asymmetric", 109.0),
     # ... but not by what its coefficients cost
     ({"position": 1000.0, "coulomb": 1001.0, "asymmetric": 999.5}, "coulomb", 103.0)])
-def test_kinds_whose_trials_had_not_come_to_their_end_are_fitted_to_it(ends, wanted, gain):
+def test_kinds_whose_trials_had_not_come_to_their_end_are_fitted_to_it(ends, wanted, gain,
+                                                                       monkeypatch):
     full = {"position": "position_dependent_friction", "coulomb": "coulomb_friction",
             "asymmetric": "asymmetric_coulomb_friction"}
     values = {"position": "torque=2,amplitude=1", "coulomb": "torque=2",
@@ -217,15 +219,13 @@ def test_kinds_whose_trials_had_not_come_to_their_end_are_fitted_to_it(ends, wan
                          tried("asymmetric", 80.0, 8.0))
     stage = Stage([position, *others], 16.0, None, [], None, position)
     ending = {full[short]: objective for short, objective in ends.items()}
-    chooser = Selection.__new__(Selection)
-    chooser.library, chooser.mechanism = KINDS, None
-    chooser.predictor = SimpleNamespace(fit_rows=None, mechanism=None)
-    chooser.trials = SimpleNamespace(free=lambda point, keys: ())
-    chooser._exact = lambda fit, at, pairs: (
-        Fitted(at, np.zeros((4, 3)), ending[at.effects[0].kind.name], ()), None)
+    monkeypatch.setattr(PredictionFit, "to_end", lambda fit, at, pairs: (
+        Fitted(at, np.zeros((4, 3)), ending[at.effects[0].kind.name], ()), None))
+    tidying = Tidying(SimpleNamespace(fit_rows=None, mechanism=None),
+                      SimpleNamespace(free=lambda point, keys: ()), KINDS)
     prices, swapped = {position.key: position.price}, {}
-    point, keys = chooser._simplified(position.fitted.point, (position.key,), None, [stage],
-                                      prices, swapped)
+    point, keys = tidying.simplified(position.fitted.point, (position.key,), None, [stage],
+                                     prices, swapped)
     assert keys == ((full[wanted], 2),) and point.effects[0].kind.name == full[wanted]
     selected = Selected(fitted(), fitted(*keys), keys, [stage], None, swapped=swapped)
     assert selected.gain_of(keys[0]) == pytest.approx(gain) and keys[0] in prices

@@ -16,8 +16,8 @@ from puma_sim_core.effects import KINDS, Effect, parse_effect
 from puma_sim_core.loop import explain
 from puma_sim_core.loop.evidence import Scored
 from puma_sim_core.loop.prediction import _FARTHEST, Point, PredictionFit, _bounded_step
+from puma_sim_core.loop.refits import Refits
 from puma_sim_core.loop.selected import Stage
-from puma_sim_core.loop.selection import Selection
 from puma_sim_core.loop.trials import Trials
 from puma_sim_core.mechanisms import load_mechanism
 
@@ -155,12 +155,11 @@ def test_a_limit_is_fitted_on_from_where_it_was_found_in_the_stage_before():
     fit, base, known, trials, scored, tried = limited()
     then, now = tried(4.2, PENDULUM.start), tried(6.0, base.point.theta)
     assert then.gain > 100.0 > 0.0 > now.gain
-    chooser = Selection.__new__(Selection)
-    chooser.trials = trials
+    refits = Refits(trials, KINDS)
 
     def resumed(accepted, stages=1):
         stage = Stage([then], 16.0, None, [], None, accepted)
-        return chooser._resumed(fit, base, known, (), [scored], [now], [stage] * stages)[0]
+        return refits.resumed(fit, base, known, (), [scored], [now], [stage] * stages)[0]
 
     elsewhere = replace(then, joint=None)
     assert resumed(elsewhere).gain > then.gain - 1.0
@@ -185,14 +184,13 @@ def test_a_bump_that_came_out_as_nothing_is_tried_again_as_machines_have_it():
     fit = PredictionFit(predictor, predictor.white_weighting(predictor.errors(plant)))
     base = fit.run(Point(PENDULUM.start, ()), (), rounds=8)
     known = fit.white(fit.derivatives(base.point, ()))
-    chooser = Selection.__new__(Selection)
-    chooser.library, chooser.trials = KINDS, Trials(predictor, problem)
+    refits = Refits(Trials(predictor, problem), KINDS)
 
     def tried(text):
         effect = parse_effect(text)
         scored = Scored(effect.kind.name, 1, 0.0, 0.0, None, None, None, dict(effect.values))
         start = Point(PENDULUM.start, (effect,))
-        return scored, chooser.trials.run(fit, base, known, (), scored, start)
+        return scored, refits.trials.run(fit, base, known, (), scored, start)
 
     level, plain = tried("coulomb_friction:joint=1,torque=0.04")
     bump, good = tried("stribeck_friction:joint=1,torque=0.03,velocity=0.08,sliding=0.03")
@@ -202,7 +200,7 @@ def test_a_bump_that_came_out_as_nothing_is_tried_again_as_machines_have_it():
         plain.fitted, point=Point(plain.fitted.point.theta, (nothing,))))
 
     def revived(trial):
-        return chooser._revived(fit, base, None, (), [level, bump], [plain, trial])
+        return refits.revived(fit, base, None, (), [level, bump], [plain, trial])
 
     assert good.gain > plain.gain + 10.0
     assert revived(stuck)[1].gain > good.gain - 1.0 and revived(stuck)[0] is plain

@@ -91,7 +91,7 @@ def run(options: argparse.Namespace) -> int:
         _write(options.out, head, found.time, "voltage", found.voltage)
         if options.setpoints is not None:
             _write(options.setpoints, head, found.time, "setpoint", found.setpoint)
-    from ..loop.selection import LEAST_GAIN
+    from ..loop.selected import LEAST_GAIN
     if found.nats < LEAST_GAIN:
         print(f"warning: {found.nats:.2g} nat are less than a name takes ({LEAST_GAIN:g}); give it "
               "more time, voltage or range", file=sys.stderr)

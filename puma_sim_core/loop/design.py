@@ -22,7 +22,7 @@ from ..errors import ParameterError
 from ..mechanisms import Mechanism
 from ..simulator import SERVO_PERIOD
 from .excitation import Builder, Limits, Motion, voltages
-from .selection import LEAST_GAIN
+from .selected import LEAST_GAIN
 from .separation import NOISE, NUMBERS, Distance, Judge, Suspect, plant_with, play
 
 #: motions of a search, and of one whose columns take long

@@ -13,7 +13,7 @@ from ..effects.columns import EXACT_TIES
 from .next_experiment import next_experiment
 from .result import (NAMED, NAMED_WITH_REMAINDER, NOTHING_MISSING, UNNAMED, Drawn, Explanation,
                      Fault, Hypothesis, Interval, NamedEffect, Ranked, RuledOut)
-from .selection import LEAST_GAIN
+from .selected import LEAST_GAIN
 from .shape import describe
 from .trials import tied
 

@@ -37,6 +37,9 @@ _TYPICAL = {"rad": 0.02, "s": 1e-3, "V": 0.1, "N.m": 1.0, "1": 0.1, "A": 1.0, "k
 
 #: greatest step of a parameter of an effect, in its sizes
 _FARTHEST = 1.5
+#: gain [nat] of new derivatives below which a fit counts as finished, and most times that they are
+#: taken: a base that is not finished lends its gain to whatever is tried first
+_FINISHED, _REFITS = 2.0, 2
 #: rounds of a fit from the start values
 _FROM_START = 6
 #: (effect, parameter) -> how far it must move to matter, or the parameter that says so
@@ -220,6 +223,24 @@ class PredictionFit:
         start = Point(self.mechanism.start, fitted.point.effects)
         found = self.run(start, (), known=known, known_free=fitted.names, rounds=_FROM_START)
         return fitted if found is None or found.objective >= fitted.objective else found
+
+    def to_end(self, point: Point, pairs, raw=None, gain: float = _FINISHED,
+               times: int = _REFITS, near=None) -> tuple[Fitted, np.ndarray]:
+        """The fit from a model on, with the raw derivatives about it: taken anew until they gain no
+        more than so much [nat]. raw : derivatives to begin with; near : about a model near by."""
+        if raw is None:
+            raw = self.derivatives(point, pairs, near)
+        known = self.white(raw)
+        fitted = self.from_start(self.run(point, (), known=known, known_free=pairs), known)
+        for _ in range(times):
+            before = fitted.objective
+            raw = self.derivatives(fitted.point, pairs, raw)
+            known = self.white(raw)
+            fitted = self.from_start(self.run(fitted.point, (), known=known, known_free=pairs),
+                                     known)
+            if before - fitted.objective < gain:
+                break
+        return fitted, raw
 
     def _newton(self, full, point: Point, errors, pairs) -> np.ndarray:
         """(p + c,) the step of Gauss and Newton from a model, with derivatives (N', p + c)."""

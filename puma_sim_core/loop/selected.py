@@ -12,6 +12,8 @@ from .prediction import Fitted
 from .trials import Trial
 from .weighting import Weighting
 
+#: least gain [nat] of a name, whatever the placebos say
+LEAST_GAIN = 16.0
 #: share of the first effect's gain that a further one must reach: below it stands what the model of
 #: the first one is not exact in
 LEAST_SHARE = 0.015

@@ -15,23 +15,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..effects import Effect
 from . import colour
 from .causal import CausalScreen
-from .evidence import Scored
 from .parallel import each
 from .prediction import TWO_MASSES, Fitted, Point, PredictionFit
 from .predictor import Predictor
+from .refits import Refits
 from .search import Search
-from .selected import Selected, Stage, entered
+from .selected import LEAST_GAIN, Selected, Stage
 from .short_list import ShortList
+from .tidying import EXACT, PARSIMONY, Tidying
 from .trials import Trial, Trials, nearest
 from .weighting import Weighting
 
 #: most effects that are added
 MOST_EFFECTS = 4
-#: least gain [nat] of a name, whatever the placebos say
-LEAST_GAIN = 16.0
 #: what a gain must exceed the placebos' greatest by: a factor and an addend
 PLACEBO_FACTOR, PLACEBO_MARGIN, PLACEBOS = 1.2, 2.0, 24
 #: least share of the first effect's gain that counts at a joint: what is not exact there shows
@@ -44,26 +42,11 @@ LEAST_TWO_MASSES = 40.0
 #: for how many of the best in the screening, and from which share of the best gain there on, all
 #: derivatives are taken anew where a fit does not keep what was promised
 _AGAIN, _WORTH_MORE = 4, 0.03
-#: gain [nat] that a kind must be better by than one that it contains, the difference of their
-#: prices included, and than one it replaces
-PARSIMONY, SWAP = 1.5, 3.0
-#: most times that derivatives are taken anew, at the end and within a stage
-_REFITS, _STAGE_REFITS = 4, 2
-#: gain [nat] of new derivatives below which the model that gains are over counts as fitted: a base
-#: that is not lends its gain to whatever is tried first
-_FINISHED = 2.0
+#: most times that derivatives are taken anew at the end
+_REFITS = 4
 #: share of the squared voltages held out that a model by the noise before may leave of those by the
 #: noise after it, in the mean of the joints, to be preferred
 _BETTER = 0.97
-#: share of a gain to which fits are exact at best: it counts in a log without noise
-_EXACT = 1e-4
-#: share of its gain from which on a rival is tried in the place of an effect, and how many
-_RIVAL, _RIVALS = 0.5, 3
-#: difference [nat] between what two trials promised and what their fits come to, from which on they
-#: count as unfinished
-_UNFINISHED = 3.0
-#: gain of likelihood [nat] below which a trial is no more than a kind that it contains
-_NO_MORE = 1.0
 #: least share of the best gain of what is named in place of the best
 _GIVING_WAY = 0.4
 
@@ -80,6 +63,8 @@ class Selection:
         self.progress = progress
         self.mechanism = search.problem.mechanism
         self.trials = Trials(predictor, search.problem)
+        self.refits = Refits(self.trials, library)
+        self.tidying = Tidying(predictor, self.trials, library)
         rng = np.random.default_rng(seed)
         self.shifts = np.sort(rng.uniform(0.06, 0.94, PLACEBOS))
 
@@ -108,8 +93,8 @@ class Selection:
             prices[stage.accepted.key] = stage.accepted.price
             point = stage.accepted.fitted.point
             weighting = stage.weighting
-            point, keys = self.tidied(point, keys, weighting, stages, prices, swapped)
-        point, keys = self._simplified(point, keys, weighting, stages, prices, swapped)
+            point, keys = self.tidying.tidied(point, keys, weighting, stages, prices, swapped)
+        point, keys = self.tidying.simplified(point, keys, weighting, stages, prices, swapped)
         return self._finished(retuned, point, keys, stages, weighting, prices, swapped)
 
     def without(self, selected: Selected, key: tuple) -> Selected:
@@ -133,94 +118,12 @@ class Selection:
         """The final fit of what was chosen, with derivatives about itself."""
         fit = PredictionFit(self.predictor, weighting)
         pairs = self.trials.free(point, keys)
-        final, _ = self._exact(fit, point, pairs, gain=0.5, times=_REFITS)
+        final, _ = fit.to_end(point, pairs, gain=0.5, times=_REFITS)
         final = replace(final, jacobian=fit.white(fit.derivatives(final.point, pairs)))
         # the model that was retuned and no more, in the same noise: else two noises are compared
         retuned = (final if not keys else
-                   self._exact(fit, retuned.point, (), gain=0.5, times=_REFITS)[0])
+                   fit.to_end(retuned.point, (), gain=0.5, times=_REFITS)[0])
         return Selected(retuned, final, keys, stages, weighting, prices, swapped)
-
-    def _exact(self, fit, point, pairs, raw=None, gain: float = _FINISHED,
-               times: int = _STAGE_REFITS, near=None):
-        """The fit from a model on, with the raw derivatives about it: taken anew until they gain
-        no more than so much [nat]. raw : derivatives to begin with; near : about a model near
-        by."""
-        if raw is None:
-            raw = fit.derivatives(point, pairs, near)
-        known = fit.white(raw)
-        fitted = fit.from_start(fit.run(point, (), known=known, known_free=pairs), known)
-        for _ in range(times):
-            before = fitted.objective
-            raw = fit.derivatives(fitted.point, pairs, raw)
-            known = fit.white(raw)
-            fitted = fit.from_start(fit.run(fitted.point, (), known=known, known_free=pairs), known)
-            if before - fitted.objective < gain:
-                break
-        return fitted, raw
-
-    def _nested(self, fit, base: Fitted, raw, known_free, short, trials) -> list[Trial]:
-        """Trials with those that fit worse than a kind that they contain fitted again, from the
-        parameters of that one on and with derivatives about it: they went astray."""
-        def again(scored: Scored, trial: Trial) -> Trial:
-            simpler = self._simpler(trial, trials)
-            if trial.fitted is None or simpler is None \
-                    or trial.fitted.objective <= simpler.objective:
-                return trial
-            start = Point(simpler.point.theta, trial.fitted.point.effects)
-            return self._better(fit, base, raw, known_free, scored, trial, simpler.point, start)
-
-        return each(lambda pair: again(*pair), list(zip(short, trials)))
-
-    def _revived(self, fit, base: Fitted, raw, known_free, short, trials) -> list[Trial]:
-        """Trials with those that came out as no more than a kind that they contain fitted again,
-        from that one with a shape as machines have it."""
-        def again(scored: Scored, trial: Trial) -> Trial:
-            usual = self.library[scored.name].screening.usual
-            simpler = self._simpler(trial, trials)
-            if usual is None or trial.fitted is None or simpler is None \
-                    or trial.fitted.objective < simpler.objective - _NO_MORE:
-                return trial
-            *others, inner = simpler.point.effects
-            last = trial.fitted.point.effects[-1]
-            effect = Effect(last.kind, last.joint, {**last.values, **usual(inner.values["torque"])})
-            theta = simpler.point.theta
-            return self._better(fit, base, raw, known_free, scored, trial,
-                                Point(theta, tuple(others)), Point(theta, (*others, effect)))
-
-        return each(lambda pair: again(*pair), list(zip(short, trials)))
-
-    def _simpler(self, trial: Trial, trials) -> Fitted | None:
-        """The best fit of a kind that a trial contains, on its joint."""
-        return min((t.fitted for t in trials if t.fitted is not None and t.joint == trial.joint
-                    and t.name in self.library[trial.name].screening.contains),
-                   key=lambda f: f.objective, default=None)
-
-    def _resumed(self, fit, base: Fitted, raw, known_free, short, trials, stages) -> list[Trial]:
-        """Trials with those that gain less than in the stage before, on another joint than what was
-        named there, fitted again from where they were then: a limit acts where its value is, and
-        the screening may have it where nothing shows."""
-        if not stages:
-            return trials
-        before = {t.key: t for t in stages[-1].trials if t.joint != stages[-1].accepted.joint
-                  and t.problem is None and t.gain > LEAST_GAIN}
-
-        def again(scored: Scored, trial: Trial) -> Trial:
-            then = before.get(trial.key)
-            if then is None or trial.gain >= then.gain:
-                return trial
-            theta, effect = then.fitted.point.theta, then.fitted.point.effects[-1]
-            return self._better(fit, base, raw, known_free, scored, trial,
-                                Point(theta, base.point.effects),
-                                Point(theta, (*base.point.effects, effect)))
-
-        return each(lambda pair: again(*pair), list(zip(short, trials)))
-
-    def _better(self, fit, base: Fitted, raw, known_free, scored: Scored, trial: Trial,
-                about: Point, start: Point) -> Trial:
-        """A trial, or that from another start with derivatives about a point, by their gains."""
-        known = fit.white(fit.derivatives(about, known_free, nearest(base, raw)))
-        found = self.trials.run(fit, base, known, known_free, scored, start)
-        return max(trial, found, key=lambda t: t.gain)
 
     def _rebased(self, fit, base: Fitted, raw, known_free, trials):
         """Base, its raw derivatives and trials, over the base that the trials' parameters lead to:
@@ -234,7 +137,7 @@ class Selection:
                     found.append((fit.objective(errors, point), len(found), point))
         if not found or min(found)[0] >= base.objective:
             return base, raw, trials
-        anew, raw = self._exact(fit, min(found)[2], known_free, near=raw)
+        anew, raw = fit.to_end(min(found)[2], known_free, near=raw)
         less = base.objective - anew.objective
         return anew, raw, [t if t.fitted is None else
                            replace(t, gain=t.gain - less,
@@ -247,7 +150,7 @@ class Selection:
         """Screen, and try the short list."""
         fit = PredictionFit(self.predictor, weighting)
         known_free = self.trials.free(point, keys)
-        base, raw = self._exact(fit, point, known_free)
+        base, raw = fit.to_end(point, known_free)
         known = fit.white(raw)
         causal = CausalScreen(fit, base.point, base.errors, known, self.problem)
         short, screened = self.short_list.of(keys, base.point, causal)
@@ -257,14 +160,14 @@ class Selection:
                if s.gain > max(LEAST_GAIN, _WORTH_MORE * top)}
         trials = each(lambda s: self.trials.run(fit, base, known, known_free, s,
                                                 again=id(s) in far), short)
-        trials = self._nested(fit, base, raw, known_free, short, trials)
-        trials = self._resumed(fit, base, raw, known_free, short, trials, stages)
+        trials = self.refits.nested(fit, base, raw, known_free, short, trials)
+        trials = self.refits.resumed(fit, base, raw, known_free, short, trials, stages)
         base, raw, trials = self._rebased(fit, base, raw, known_free, trials)
         # gains are those in the noise that the best explanation of each joint leaves
         before = fit, base, raw, trials
         weighting = self._noise(base, trials)
         fit = PredictionFit(self.predictor, weighting)
-        base, raw = self._exact(fit, base.point, known_free, raw)
+        base, raw = fit.to_end(base.point, known_free, raw)
         known = fit.white(raw)
         trials = each(lambda pair: pair[1] if pair[1].fitted is None else
                       self.trials.run(fit, base, known, known_free, pair[0],
@@ -273,7 +176,7 @@ class Selection:
             # what no effect explains was taken for noise, and the fit has moved away from it
             fit, base, raw, trials = before
             weighting = fit.weighting
-        trials = self._revived(fit, base, raw, known_free, short, trials)
+        trials = self.refits.revived(fit, base, raw, known_free, short, trials)
         trials = self.trials.polished(fit, base, raw, known_free, short, trials)
         base, raw, trials = self._rebased(fit, base, raw, known_free, trials)
         best = max((t for t in trials if t.problem is None), key=lambda t: t.gain, default=None)
@@ -336,104 +239,6 @@ class Selection:
             errors[:, j] = found[number][:, j]
         return colour.weighting(self.predictor, errors)
 
-    def tidied(self, point, keys, weighting, stages, prices, swapped):
-        """Effects that the later ones made needless are taken out, or replaced by a rival; prices
-        and `Selected.swapped` are kept up."""
-        fit = PredictionFit(self.predictor, weighting)
-        for number in range(len(keys) - 1):
-            rest = tuple(k for n, k in enumerate(keys) if n != number)
-            without = Point(point.theta, tuple(e for n, e in enumerate(point.effects)
-                                               if n != number))
-            pairs = self.trials.free(point, keys)
-            known = fit.white(fit.derivatives(point, pairs))
-            full = fit.run(point, (), known=known, known_free=pairs)
-            p = known.shape[1]
-            own = [k for k, (n, _) in enumerate(self.trials.free(point, keys)) if n == number]
-            first = len(point.theta)
-            columns = [c for c in range(p) if c - first not in own]
-            free = self.trials.free(without, rest)
-            bare = fit.run(without, (), known=known[:, columns], known_free=free, rounds=4)
-            if bare is None:
-                continue
-            if bare.objective - full.objective - prices.get(keys[number], 0.0) < LEAST_GAIN:
-                return self.tidied(bare.point, rest, weighting, stages, prices, swapped)
-            best = None
-            for rival in self._rivals(stages, keys[number], keys):
-                effect = rival.fitted.point.effects[-1]
-                moved = Point(bare.point.theta, (*bare.point.effects, effect))
-                names = [(len(rest), name) for name in self.trials.names(effect, effect.values)]
-                tried = fit.run(moved, names, known=known[:, columns], known_free=free, rounds=4)
-                if tried is None or self.trials.implausible(tried.point.effects[-1]):
-                    continue
-                gain = full.objective - tried.objective - rival.price + prices.get(
-                    keys[number], 0.0)
-                if gain > SWAP and (best is None or gain > best[0]):
-                    best = gain, rival, tried
-            if best is not None:
-                _, rival, tried = best
-                prices[rival.key] = rival.price
-                swapped[rival.key] = (entered(stages, keys[number]),
-                                      bare.objective - tried.objective - rival.price)
-                return tried.point, (*rest, rival.key)
-        return point, keys
-
-    def _simplified(self, point, keys, weighting, stages, prices, swapped):
-        """Effects that come out as a kind that they contain, with all others in the model, are
-        replaced by it: when they were tried, its fit may not have come to its end. Where that
-        shows, the other kinds that contain it are fitted to their end, too."""
-        fit = PredictionFit(self.predictor, weighting)
-        for number, key in enumerate(keys):
-            contained = self._contained(stages, key, keys)
-            if not contained:
-                continue
-
-            def exact(about: Point, trial: Trial, effect: Effect) -> tuple[Fitted, Trial]:
-                others = (*keys[:number], trial.key, *keys[number + 1:])
-                at = Point(about.theta, (*about.effects[:number], effect,
-                                         *about.effects[number + 1:]))
-                return self._exact(fit, at, self.trials.free(at, others))[0], trial
-
-            stage = entered(stages, key)
-            own = next(t for t in stage.trials if t.key == key)
-            first = best = exact(point, own, point.effects[number])
-            full = first[0].point
-            # from what was tried, and with what the two have in common as it is now
-            simpler = min((exact(full, t, effect) for t in contained for effect in (
-                t.fitted.point.effects[-1],
-                _alike(t.fitted.point.effects[-1], full.effects[number]))),
-                key=lambda pair: pair[0].objective)
-            promised = own.gain + own.price - simpler[1].gain - simpler[1].price
-            if abs(simpler[0].objective - first[0].objective - promised) > _UNFINISHED:
-                best = min((first, *(exact(full, t, t.fitted.point.effects[-1])
-                                     for t in self._containing(stage, simpler[1], keys))),
-                           key=lambda pair: pair[0].objective + pair[1].price)
-            gain = stage.accepted.gain
-            lost = simpler[0].objective - best[0].objective
-            less = best[1].price - simpler[1].price
-            chosen = simpler if lost < max(PARSIMONY, less + _EXACT * gain) else best
-            if chosen is first:
-                continue
-            fitted, trial = chosen
-            prices[trial.key] = trial.price
-            swapped[trial.key] = stage, (gain + first[0].objective - fitted.objective
-                                         + own.price - trial.price)
-            point, keys = fitted.point, (*keys[:number], trial.key, *keys[number + 1:])
-        return point, keys
-
-    def _contained(self, stages, key, keys) -> list[Trial]:
-        """Trials, beside the one by which an effect entered, of the kinds that it contains."""
-        stage, screening = entered(stages, key), self.library[key[0]].screening
-        if stage is None or screening.generous:
-            return []
-        return [t for t in stage.trials if t.joint == key[1] and t.name in screening.contains
-                and t.key not in keys and t.fitted is not None and t.problem is None]
-
-    def _containing(self, stage: Stage, simpler: Trial, keys) -> list[Trial]:
-        """Trials of a stage, on the joint of a simpler one, of the kinds that contain it."""
-        return [t for t in stage.trials if t.joint == simpler.joint and t.key not in keys
-                and simpler.name in self.library[t.name].screening.contains
-                and t.fitted is not None and t.problem is None]
-
     # the pieces
 
     def _raw(self, point: Point) -> np.ndarray:
@@ -456,7 +261,7 @@ class Selection:
 
     def _parsimonious(self, best: Trial, trials) -> Trial:
         screening = self.library[best.name].screening
-        least = max(_EXACT, screening.generous) * best.gain
+        least = max(EXACT, screening.generous) * best.gain
 
         def needless(t: Trial) -> bool:
             # what a further coefficient costs is in the gains already
@@ -466,23 +271,3 @@ class Selection:
         simpler = [t for t in trials if t.problem is None and t.joint == best.joint
                    and t.name in screening.contains and needless(t)]
         return max(simpler, key=lambda t: t.gain) if simpler else best
-
-    def _rivals(self, stages, key, keys) -> list[Trial]:
-        """Trials beside the one by which an effect entered that may take its place: the best, and
-        those that contain it."""
-        stage = entered(stages, key)
-        if stage is None:
-            return []
-        near = [t for t in stage.trials if t.key != key and t.key not in keys
-                and t.fitted is not None and t.problem is None
-                and t.gain > _RIVAL * stage.accepted.gain]
-        return [t for n, t in enumerate(near) if n < _RIVALS or (
-            t.joint == key[1] and key[0] in self.library[t.name].screening.contains)]
-
-
-def _alike(effect: Effect, other: Effect) -> Effect:
-    """An effect with the values of those parameters that it shares with another."""
-    own = {p.name: p for p in effect.kind.parameters}
-    shared = {name: min(max(value, own[name].low), own[name].high)
-              for name, value in other.values.items() if name in effect.values}
-    return Effect(effect.kind, effect.joint, {**effect.values, **shared})
