@@ -45,7 +45,7 @@ help:
 	@echo "make run         move the simulated arm down a vertical line over ROS 2, record, replay"
 	@echo "make loop        record a session with a hidden effect, and find and name it from the bag"
 	@echo "make test        run the tests"
-	@echo "make score       explain fresh blind records, print how often that is right (some hours)"
+	@echo "make score       explain fresh blind records, print how often that is right (an hour)"
 	@echo "make bench       speed beside other simulators (in its own environment, $(BENCH_VENV))"
 	@echo "make colcon      build with colcon, run the installed node with an external controller"
 	@echo "make js-readers  install the JavaScript bag readers that make test then uses (needs npm)"
