@@ -196,15 +196,18 @@ def test_kinds_that_an_effect_contains_are_those_tried_beside_it():
     assert Tidying._contained(chooser, [stage], blow.key, (blow.key,)) == []
 
 
-@pytest.mark.parametrize("ends, wanted, gain", [
+@pytest.mark.parametrize("ends, impossible, wanted, gain", [
     # what was promised holds: nothing else is asked
-    ({"position": 1000.0, "coulomb": 1083.0, "asymmetric": 900.0}, "position", 100.0),
+    ({"position": 1000.0, "coulomb": 1083.0, "asymmetric": 900.0}, (), "position", 100.0),
     # it does not: another kind that contains the simpler one is better
-    ({"position": 1000.0, "coulomb": 1006.0, "asymmetric": 993.0}, "asymmetric", 109.0),
-    # ... but not by what its coefficients cost
-    ({"position": 1000.0, "coulomb": 1001.0, "asymmetric": 999.5}, "coulomb", 103.0)])
-def test_kinds_whose_trials_had_not_come_to_their_end_are_fitted_to_it(ends, wanted, gain,
-                                                                       monkeypatch):
+    ({"position": 1000.0, "coulomb": 1006.0, "asymmetric": 993.0}, (), "asymmetric", 109.0),
+    # ... but no name where it comes out as no machine has it
+    ({"position": 1000.0, "coulomb": 1006.0, "asymmetric": 993.0}, ("asymmetric",), "position",
+     100.0),
+    # ... nor by less than its coefficients cost
+    ({"position": 1000.0, "coulomb": 1001.0, "asymmetric": 999.5}, (), "coulomb", 103.0)])
+def test_kinds_whose_trials_had_not_come_to_their_end_are_fitted_to_it(
+        ends, impossible, wanted, gain, monkeypatch):
     full = {"position": "position_dependent_friction", "coulomb": "coulomb_friction",
             "asymmetric": "asymmetric_coulomb_friction"}
     values = {"position": "torque=2,amplitude=1", "coulomb": "torque=2",
@@ -222,7 +225,8 @@ def test_kinds_whose_trials_had_not_come_to_their_end_are_fitted_to_it(ends, wan
     monkeypatch.setattr(PredictionFit, "to_end", lambda fit, at, pairs: (
         Fitted(at, np.zeros((4, 3)), ending[at.effects[0].kind.name], ()), None))
     tidying = Tidying(SimpleNamespace(fit_rows=None, mechanism=None),
-                      SimpleNamespace(free=lambda point, keys: ()), KINDS)
+                      SimpleNamespace(free=lambda point, keys: (), implausible=lambda effect: (
+                          effect.kind.name in {full[short] for short in impossible})), KINDS)
     prices, swapped = {position.key: position.price}, {}
     point, keys = tidying.simplified(position.fitted.point, (position.key,), None, [stage],
                                      prices, swapped)

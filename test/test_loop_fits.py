@@ -130,18 +130,23 @@ def fit_of(mechanism, effect, seconds=1.0):
     return PredictionFit(predictor, predictor.white_weighting(raw)), raw
 
 
+def lacking(effect):
+    """The fit of a log of a pendulum with an effect, the fitted model without it, the derivatives
+    by its parameters, and the trials."""
+    plant = PENDULUM.plant(effects=(effect,))
+    log = record(PENDULUM, plant, volts=NOISE, noise=1e-5)
+    problem, _, predictor = pieces(PENDULUM, log, NOISE, 1e-5)
+    fit = PredictionFit(predictor, predictor.white_weighting(predictor.errors(plant)))
+    base = fit.run(Point(PENDULUM.start, ()), (), rounds=8)
+    return fit, base, fit.white(fit.derivatives(base.point, ())), Trials(predictor, problem)
+
+
 def limited():
     """The fit of a log of a pendulum whose voltage has a limit, the fitted model without it, the
     derivatives by its parameters, the trials, what a screening says of the limit, and a function of
     a limit [V] and parameters -> the trial from there."""
     limit = parse_effect("voltage_saturation:joint=1,voltage=4.2")
-    plant = PENDULUM.plant(effects=(limit,))
-    log = record(PENDULUM, plant, volts=NOISE, noise=1e-5)
-    problem, _, predictor = pieces(PENDULUM, log, NOISE, 1e-5)
-    fit = PredictionFit(predictor, predictor.white_weighting(predictor.errors(plant)))
-    base = fit.run(Point(PENDULUM.start, ()), (), rounds=8)
-    known = fit.white(fit.derivatives(base.point, ()))
-    trials = Trials(predictor, problem)
+    fit, base, known, trials = lacking(limit)
     scored = Scored("voltage_saturation", 1, 0.0, 0.0, None, None, None, {"voltage": 4.2}, price=3.0)
 
     def tried(value, theta):
@@ -178,19 +183,14 @@ def test_a_trial_by_itself_is_fitted_to_its_end_where_rows_kept_back_speak_again
 
 def test_a_bump_that_came_out_as_nothing_is_tried_again_as_machines_have_it():
     true = parse_effect("stribeck_friction:joint=1,torque=0.03,velocity=0.08,sliding=0.03")
-    plant = PENDULUM.plant(effects=(true,))
-    log = record(PENDULUM, plant, volts=NOISE, noise=1e-5)
-    problem, _, predictor = pieces(PENDULUM, log, NOISE, 1e-5)
-    fit = PredictionFit(predictor, predictor.white_weighting(predictor.errors(plant)))
-    base = fit.run(Point(PENDULUM.start, ()), (), rounds=8)
-    known = fit.white(fit.derivatives(base.point, ()))
-    refits = Refits(Trials(predictor, problem), KINDS)
+    fit, base, known, trials = lacking(true)
+    refits = Refits(trials, KINDS)
 
     def tried(text):
         effect = parse_effect(text)
         scored = Scored(effect.kind.name, 1, 0.0, 0.0, None, None, None, dict(effect.values))
         start = Point(PENDULUM.start, (effect,))
-        return scored, refits.trials.run(fit, base, known, (), scored, start)
+        return scored, trials.run(fit, base, known, (), scored, start)
 
     level, plain = tried("coulomb_friction:joint=1,torque=0.04")
     bump, good = tried("stribeck_friction:joint=1,torque=0.03,velocity=0.08,sliding=0.03")

@@ -103,9 +103,11 @@ class Tidying:
                 key=lambda pair: pair[0].objective)
             promised = own.gain + own.price - simpler[1].gain - simpler[1].price
             if abs(simpler[0].objective - first[0].objective - promised) > _UNFINISHED:
-                best = min((first, *(exact(full, t, t.fitted.point.effects[-1])
-                                     for t in self._containing(stage, simpler[1], keys))),
-                           key=lambda pair: pair[0].objective + pair[1].price)
+                others = (exact(full, t, t.fitted.point.effects[-1])
+                          for t in self._containing(stage, simpler[1], keys))
+                best = min((first, *(pair for pair in others if not self.trials.implausible(
+                    pair[0].point.effects[number]))),
+                    key=lambda pair: pair[0].objective + pair[1].price)
             gain = stage.accepted.gain
             lost = simpler[0].objective - best[0].objective
             less = best[1].price - simpler[1].price

@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from . import dry_friction
 from ..screening import TORQUE_COLUMN, Candidate, Illegal, Screening, Signals
+from . import dry_friction
 from .common import (candidate, fastest, is_arm, motor_torque, moves, on_joint, positive, recursion,
                      smooth_sign, stretches, warming)
 
