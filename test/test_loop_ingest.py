@@ -15,6 +15,7 @@ import cli_support as cli
 from puma_sim_core import csv_rows
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.errors import BagError, PumaSimError, RecordingError
+from puma_sim_core.loop import explain
 from puma_sim_core.loop.gate import check
 from puma_sim_core.loop.ingest import GREATEST_ROWS, encoder_step, parse_columns, read_log
 from puma_sim_core.mechanisms import load_mechanism
@@ -241,3 +242,12 @@ def test_bags_of_positions_need_a_row_for_each_servo_sample(tmp_path):
         read_log(tmp_path / "fine", joints=1)
     with pytest.raises(RecordingError, match="none for a bag"):
         read_log(tmp_path / "fine", {"time": "t"})
+
+
+def test_what_is_so_of_several_logs_is_noted_once(tmp_path):
+    paths = [tmp_path / "one.csv", tmp_path / "two.csv"]
+    for path in paths:
+        path.write_text("time,voltage1,position1,warmth\n0,1,0,20\n0.01,1,0.1,20\n")
+    found = explain([str(path) for path in paths], plant="pendulum")
+    assert found.verdict == "DATA_FAULT" and len(found.faults) == 2
+    assert found.notes == ("Columns that are not used: warmth.",)

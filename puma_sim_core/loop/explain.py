@@ -76,7 +76,8 @@ def explain(logs: str | Log | Sequence, *, held_out: Sequence = (), plant: str =
     for log in (*fitted, *kept):
         found, said = check(log, mechanism)
         faults += found
-        notes += [*log.notes, *said]
+        # what is so of several logs is said once
+        notes += [note for note in said if note not in notes]
     analysis = None if faults else Analysis.of(fitted, kept, mechanism, seed, progress)
     faults = faults or wrong_zeros(analysis.selected.stages)
     if faults:
