@@ -2,8 +2,8 @@
 # Copyright the puma-sim contributors
 """Packaging for pip and for colcon (build type ament_python); all metadata stands here."""
 
-from pathlib import Path
 import re
+from pathlib import Path
 
 from setuptools import find_packages, setup
 
@@ -12,15 +12,12 @@ ROOT = Path(__file__).resolve().parent
 
 # read, not imported: the build environment has none of the run-time dependencies
 VERSION = re.search(
-    r'^__version__ = "([^"]+)"$',
-    (ROOT / "puma_sim_core" / "__init__.py").read_text(encoding="utf-8"),
-    re.MULTILINE,
+    r'^__version__ = "([^"]+)"$', (ROOT / "puma_sim_core" / "__init__.py").read_text(encoding="utf-8"), re.MULTILINE
 ).group(1)
 
 README = ROOT / "README.md"
 
-CONFIG_FILES = sorted(
-    path for path in (ROOT / "config").rglob("*") if path.suffix in (".yaml", ".json"))
+CONFIG_FILES = sorted(path for path in (ROOT / "config").rglob("*") if path.suffix in (".yaml", ".json"))
 
 
 def _share_files():
@@ -28,8 +25,7 @@ def _share_files():
     folders = {}
     for path in CONFIG_FILES:
         relative = path.relative_to(ROOT)
-        folders.setdefault(f"share/{NAME}/{relative.parent.as_posix()}", []).append(
-            relative.as_posix())
+        folders.setdefault(f"share/{NAME}/{relative.parent.as_posix()}", []).append(relative.as_posix())
     return sorted(folders.items())
 
 
@@ -37,7 +33,7 @@ setup(
     name=NAME,
     version=VERSION,
     description="The PUMA 560's first three joints with their DC motors, simulated, as a ROS 2 "
-                "node and as a Python library",
+    "node and as a Python library",
     long_description=README.read_text(encoding="utf-8") if README.exists() else "",
     long_description_content_type="text/markdown",
     author="puma-sim maintainers",
@@ -58,10 +54,7 @@ setup(
     # puma_sim_core.resources looks for it
     packages=[*find_packages(include=["puma_sim_core*", "puma_sim_ros*"]), "puma_sim_core.config"],
     package_dir={"puma_sim_core.config": "config"},
-    package_data={
-        "puma_sim_core.config": [
-            path.relative_to(ROOT / "config").as_posix() for path in CONFIG_FILES],
-    },
+    package_data={"puma_sim_core.config": [path.relative_to(ROOT / "config").as_posix() for path in CONFIG_FILES]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -91,13 +84,10 @@ setup(
             "puma-sim = puma_sim_core.cli:main",
             "sim_node = puma_sim_ros.sim_node:main",
             "external_controller = puma_sim_ros.external_controller:main",
-        ],
+        ]
     },
     # `ros2 run` looks in lib/<package>. colcon calls `setup.py install` or `develop`, which obey
     # this (also in a virtual environment, where the same lines in setup.cfg would be ignored);
     # pip makes the scripts from the wheel's entry points and puts them on PATH.
-    options={
-        "develop": {"script_dir": f"$base/lib/{NAME}"},
-        "install": {"install_scripts": f"$base/lib/{NAME}"},
-    },
+    options={"develop": {"script_dir": f"$base/lib/{NAME}"}, "install": {"install_scripts": f"$base/lib/{NAME}"}},
 )

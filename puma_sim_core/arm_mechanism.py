@@ -28,8 +28,13 @@ from .rigid_body import Lumps, lumped_constants
 #: the constants that the link torques are linear in: `Lumps` but for E4, which is E0 + Ia3
 LUMPS = Lumps._fields[:15] + Lumps._fields[16:]
 _AXES = ("x", "y", "z")
-_MOTOR = {"inertia": "kg.m^2", "resistance": "ohm", "back_emf": "V.s/rad",
-          "torque_constant": "N.m/A", "inductance": "H"}
+_MOTOR = {
+    "inertia": "kg.m^2",
+    "resistance": "ohm",
+    "back_emf": "V.s/rad",
+    "torque_constant": "N.m/A",
+    "inductance": "H",
+}
 #: numbers whose prior widths a mechanism file gives, as shares of the numbers
 WIDTHS = ("mass", "centre", "gyration_squared", *_MOTOR, "viscous_friction")
 
@@ -48,54 +53,91 @@ class ArmMechanism(Mechanism):
     torque_form: str = "physical"
 
     @classmethod
-    def of(cls, arm: ArmParameters, viscous, widths: Mapping[str, float], torque_scale, *,
-           name: str = "puma560", effects: Iterable[Effect] = (), torque_form: str = "physical"
-           ) -> ArmMechanism:
+    def of(
+        cls,
+        arm: ArmParameters,
+        viscous,
+        widths: Mapping[str, float],
+        torque_scale,
+        *,
+        name: str = "puma560",
+        effects: Iterable[Effect] = (),
+        torque_form: str = "physical",
+    ) -> ArmMechanism:
         """Mechanism of an arm; `widths` has the relative deviation of each of `WIDTHS`."""
         viscous = tuple(float(value) for value in viscous)
-        return cls(name=name, joints=3, position_unit="rad", effort_unit="N.m",
-                   ranges=arm.joint_ranges, torque_scale=np.array(torque_scale, dtype=float),
-                   gear=np.array([motor.gear_ratio for motor in arm.motors]),
-                   parameters=_parameters(arm, viscous, widths), effects=tuple(effects),
-                   arm=arm, viscous=viscous, widths=dict(widths), torque_form=torque_form)
+        return cls(
+            name=name,
+            joints=3,
+            position_unit="rad",
+            effort_unit="N.m",
+            ranges=arm.joint_ranges,
+            torque_scale=np.array(torque_scale, dtype=float),
+            gear=np.array([motor.gear_ratio for motor in arm.motors]),
+            parameters=_parameters(arm, viscous, widths),
+            effects=tuple(effects),
+            arm=arm,
+            viscous=viscous,
+            widths=dict(widths),
+            torque_form=torque_form,
+        )
 
     def with_arm(self, arm: ArmParameters) -> ArmMechanism:
         """The mechanism that starts from another arm."""
-        return ArmMechanism.of(arm, self.viscous, self.widths, self.torque_scale, name=self.name,
-                               effects=self.effects, torque_form=self.torque_form)
+        return ArmMechanism.of(
+            arm,
+            self.viscous,
+            self.widths,
+            self.torque_scale,
+            name=self.name,
+            effects=self.effects,
+            torque_form=self.torque_form,
+        )
 
     def of_plant(self, plant: Plant) -> ArmMechanism:
         """See `Mechanism.of_plant`; joints without viscous friction in the plant keep that of the
         mechanism as the start (what is not known is not zero)."""
         if plant.joints != 3:
-            raise ParameterError(f"a model of {plant.joints} joint", where=self.name,
-                                 expected="a model of three joints")
+            raise ParameterError(
+                f"a model of {plant.joints} joint", where=self.name, expected="a model of three joints"
+            )
         given = {e.joint for e in plant.effects if e.kind is VISCOUS}
-        viscous = [plant.viscous_friction[j] if j + 1 in given else self.viscous[j]
-                   for j in range(3)]
-        return ArmMechanism.of(plant.arm, viscous, self.widths, self.torque_scale, name=self.name,
-                               effects=[e for e in plant.effects if e.kind is not VISCOUS],
-                               torque_form=plant.torque_form)
+        viscous = [plant.viscous_friction[j] if j + 1 in given else self.viscous[j] for j in range(3)]
+        return ArmMechanism.of(
+            plant.arm,
+            viscous,
+            self.widths,
+            self.torque_scale,
+            name=self.name,
+            effects=[e for e in plant.effects if e.kind is not VISCOUS],
+            torque_form=plant.torque_form,
+        )
 
     def arm_of(self, theta=None) -> ArmParameters:
         """The arm with the numbers of theta, without loads."""
         value = self.values(theta)
         links, motors = [], []
         for i, (link, motor) in enumerate(zip(self.arm.links, self.arm.motors), start=1):
-            links.append(Link(
-                value[f"link{i}.mass"], tuple(value[f"link{i}.centre_{a}"] for a in _AXES),
-                tuple(value[f"link{i}.gyration_{a}{a}"] for a in _AXES), link.products))
-            motors.append(Motor(gear_ratio=motor.gear_ratio,
-                                **{key: value[f"motor{i}.{key}"] for key in _MOTOR}))
+            links.append(
+                Link(
+                    value[f"link{i}.mass"],
+                    tuple(value[f"link{i}.centre_{a}"] for a in _AXES),
+                    tuple(value[f"link{i}.gyration_{a}{a}"] for a in _AXES),
+                    link.products,
+                )
+            )
+            motors.append(Motor(gear_ratio=motor.gear_ratio, **{key: value[f"motor{i}.{key}"] for key in _MOTOR}))
         return replace(self.arm, links=tuple(links), motors=tuple(motors))
 
     def plant(self, theta=None, effects: Iterable[Effect] = ()) -> Plant:
         theta = None if theta is None else self.clip(theta)
         value = self.values(theta)
-        viscous = tuple(Effect(VISCOUS, j, {"coefficient": value[f"joint{j}.viscous"]})
-                        for j in (1, 2, 3) if value[f"joint{j}.viscous"] > 0.0)
-        return Plant(self.arm_of(theta), viscous + self.effects + tuple(effects),
-                     self.torque_form)
+        viscous = tuple(
+            Effect(VISCOUS, j, {"coefficient": value[f"joint{j}.viscous"]})
+            for j in (1, 2, 3)
+            if value[f"joint{j}.viscous"] > 0.0
+        )
+        return Plant(self.arm_of(theta), viscous + self.effects + tuple(effects), self.torque_form)
 
     # ------------------------------------------------------------------------------- torques
 
@@ -151,14 +193,18 @@ class ArmMechanism(Mechanism):
         g1, g2, g3, g4 = lumps[-4:]
         first, second, third = arm.links
         load = sum(e.values["mass"] for e in self.effects if e.kind.load is not None)
-        beside = sum(e.values["mass"] * e.values["y"] for e in self.effects
-                     if e.kind.load is not None)
+        beside = sum(e.values["mass"] * e.values["y"] for e in self.effects if e.kind.load is not None)
         # moments of mass [kg.m] times g: along the arm, and beside its plane
         along = g * first.mass * first.centre[0] - self.gravity(theta, q)[:, 1]
-        side = g * (first.mass * first.centre[2] + second.mass * second.centre[2]
-                    + third.mass * (arm.d3 + third.centre[1]) + load * arm.d3 + beside)
+        side = g * (
+            first.mass * first.centre[2]
+            + second.mass * second.centre[2]
+            + third.mass * (arm.d3 + third.centre[1])
+            + load * arm.d3
+            + beside
+        )
         s1, c1, u = np.sin(q[:, 0]), np.cos(q[:, 0]), q[:, 1] + q[:, 2]
-        inward = g1 * np.sin(u) - g2 * np.cos(u)      # g d(along)/dq3
+        inward = g1 * np.sin(u) - g2 * np.cos(u)  # g d(along)/dq3
         both = g3 * np.sin(q[:, 1]) - g4 * np.cos(q[:, 1]) + inward
         slopes = np.stack([np.zeros_like(u), both, inward], axis=1)
         result = np.empty(q.shape + (2,))
@@ -193,29 +239,37 @@ class ArmMechanism(Mechanism):
             lag=per_motor["inductance"] / per_motor["resistance"],
             emf=per_motor["back_emf"] * self.gear,
             viscous=np.array([value[f"joint{j}.viscous"] for j in (1, 2, 3)]),
-            motor_inertia=per_motor["inertia"], resistance=per_motor["resistance"])
+            motor_inertia=per_motor["inertia"],
+            resistance=per_motor["resistance"],
+        )
 
 
 def _parameters(arm: ArmParameters, viscous, widths) -> tuple[MechanismParameter, ...]:
     def parameter(name, unit, value, width, acts=True, positive=True):
         # a number that is zero, or that no torque depends on, has nothing to be fitted
         deviation = abs(value) * widths[width]
-        return MechanismParameter(name, unit, float(value), deviation,
-                                  known=not (acts and deviation > 0.0), positive=positive)
+        return MechanismParameter(
+            name, unit, float(value), deviation, known=not (acts and deviation > 0.0), positive=positive
+        )
 
     found = []
     for i, link in enumerate(arm.links, start=1):
         # the first link only turns about its upright axis
         found.append(parameter(f"link{i}.mass", "kg", link.mass, "mass"))
-        found += [parameter(f"link{i}.centre_{a}", "m", value, "centre", i > 1, positive=False)
-                  for a, value in zip(_AXES, link.centre)]
-        found += [parameter(f"link{i}.gyration_{a}{a}", "m^2", value, "gyration_squared",
-                            i > 1 or a == "y") for a, value in zip(_AXES, link.gyration_squared)]
+        found += [
+            parameter(f"link{i}.centre_{a}", "m", value, "centre", i > 1, positive=False)
+            for a, value in zip(_AXES, link.centre)
+        ]
+        found += [
+            parameter(f"link{i}.gyration_{a}{a}", "m^2", value, "gyration_squared", i > 1 or a == "y")
+            for a, value in zip(_AXES, link.gyration_squared)
+        ]
     for i, motor in enumerate(arm.motors, start=1):
-        found += [parameter(f"motor{i}.{key}", unit, getattr(motor, key), key)
-                  for key, unit in _MOTOR.items()]
-    found += [parameter(f"joint{j}.viscous", "N.m.s/rad", value, "viscous_friction")
-              for j, value in enumerate(viscous, start=1)]
+        found += [parameter(f"motor{i}.{key}", unit, getattr(motor, key), key) for key, unit in _MOTOR.items()]
+    found += [
+        parameter(f"joint{j}.viscous", "N.m.s/rad", value, "viscous_friction")
+        for j, value in enumerate(viscous, start=1)
+    ]
     return tuple(found)
 
 

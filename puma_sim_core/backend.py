@@ -19,25 +19,43 @@ from .errors import ParameterError
 
 _PACKAGE = Path(__file__).resolve().parent
 #: what the compiled kernel is made of; a change of any of them makes an older cache void
-_SOURCES = ("backend.py", "kernel.py", "circuit.py", "joint_torques.py", "contact.py", "runs.py",
-            "lanes.py", "timed.py", "sensed.py", "two_mass.py", "two_mass_runs.py", "tracking.py",
-            "known_effects.py", "effects", "control/pid.py", "control/servo.py")
+_SOURCES = (
+    "backend.py",
+    "kernel.py",
+    "circuit.py",
+    "joint_torques.py",
+    "contact.py",
+    "runs.py",
+    "lanes.py",
+    "timed.py",
+    "sensed.py",
+    "two_mass.py",
+    "two_mass_runs.py",
+    "tracking.py",
+    "known_effects.py",
+    "effects",
+    "control/pid.py",
+    "control/servo.py",
+)
 
 
 def _choose() -> str:
     wanted = os.environ.get("PUMA_SIM_KERNEL", "auto")
     if wanted not in ("auto", "numba", "python"):
-        raise ParameterError(f"kernel '{wanted}'", where="environment variable PUMA_SIM_KERNEL",
-                             expected="auto, numba or python")
+        raise ParameterError(
+            f"kernel '{wanted}'", where="environment variable PUMA_SIM_KERNEL", expected="auto, numba or python"
+        )
     if wanted == "python":
         return "python"
     try:
         import numba  # noqa: F401
     except ImportError:
         if wanted == "numba":
-            raise ParameterError("numba is not installed",
-                                 where="environment variable PUMA_SIM_KERNEL",
-                                 expected="python or auto, or `pip install numba`") from None
+            raise ParameterError(
+                "numba is not installed",
+                where="environment variable PUMA_SIM_KERNEL",
+                expected="python or auto, or `pip install numba`",
+            ) from None
         return "python"
     return "numba"
 
@@ -84,8 +102,7 @@ if BACKEND == "numba":
         try:
             # numba looks the folder up while it decorates; other users of numba keep theirs
             numba.config.CACHE_DIR = _CACHE or before
-            return numba.njit(function, nogil=True, error_model="numpy",
-                              cache=_CACHE is not None, **options)
+            return numba.njit(function, nogil=True, error_model="numpy", cache=_CACHE is not None, **options)
         finally:
             numba.config.CACHE_DIR = before
 

@@ -38,10 +38,19 @@ class BatchResult:
     finite: np.ndarray
 
 
-def run_batch(plants: Plant | Sequence[Plant], time, voltage, *, position=(0.0, 0.0, 0.0),
-              velocity=(0.0, 0.0, 0.0), current=(0.0, 0.0, 0.0), max_step: float = SERVO_PERIOD,
-              lanes: bool = True, workers: int | None = None,
-              progress: Callable[[int, int], None] | None = None) -> BatchResult:
+def run_batch(
+    plants: Plant | Sequence[Plant],
+    time,
+    voltage,
+    *,
+    position=(0.0, 0.0, 0.0),
+    velocity=(0.0, 0.0, 0.0),
+    current=(0.0, 0.0, 0.0),
+    max_step: float = SERVO_PERIOD,
+    lanes: bool = True,
+    workers: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> BatchResult:
     """Run m plants, or one plant m times.
 
     plants : one, or m of them; time : (n,) [s], common to all runs; voltage : (n, 3), or (m, n, 3)
@@ -56,12 +65,16 @@ def run_batch(plants: Plant | Sequence[Plant], time, voltage, *, position=(0.0, 
     check_step(max_step, "max_step")
     voltage = np.ascontiguousarray(voltage, dtype=float)
     starts = [np.atleast_2d(np.asarray(a, dtype=float)) for a in (position, velocity, current)]
-    shared = [1 if isinstance(plants, Plant) else len(plants),
-              voltage.shape[0] if voltage.ndim == 3 else 1, *(len(a) for a in starts)]
+    shared = [
+        1 if isinstance(plants, Plant) else len(plants),
+        voltage.shape[0] if voltage.ndim == 3 else 1,
+        *(len(a) for a in starts),
+    ]
     m = max(shared)
     if any(n not in (1, m) for n in shared) or any(a.shape[1:] != (3,) for a in starts):
-        raise ParameterError(f"plants, voltages and starts of {shared} runs",
-                             expected="the same number of runs in each, or one for all")
+        raise ParameterError(
+            f"plants, voltages and starts of {shared} runs", expected="the same number of runs in each, or one for all"
+        )
     volts = voltage if voltage.ndim == 3 else voltage[None]
     for rows in volts:
         time, _ = table(time, rows, "voltage")
@@ -80,13 +93,13 @@ def run_batch(plants: Plant | Sequence[Plant], time, voltage, *, position=(0.0, 
         done += len(runs)
         if progress is not None:
             progress(done, m)
-    return BatchResult(time, out[:, :, 0:3], out[:, :, 3:6], out[:, :, 6:9],
-                       np.isfinite(out[:, -1]).all(axis=1))
+    return BatchResult(time, out[:, :, 0:3], out[:, :, 3:6], out[:, :, 6:9], np.isfinite(out[:, -1]).all(axis=1))
 
 
 def _spread(jobs, parts, workers, out):
     """Do the parts on several threads or processes, in order; yields each part when it is in
     `out`."""
+
     def fill(runs):
         jobs.work(runs, out)
         return runs
@@ -117,7 +130,7 @@ class _Jobs:
         """Groups of runs: up to LANES of those that can share registers, others alone."""
         plain = [r for r, plant in enumerate(self.plants) if lanes and not plant.constants.active]
         alone = sorted(set(range(len(self.plants))) - set(plain))
-        return [plain[r:r + LANES] for r in range(0, len(plain), LANES)] + [[r] for r in alone]
+        return [plain[r : r + LANES] for r in range(0, len(plain), LANES)] + [[r] for r in alone]
 
     def work(self, runs: list[int], out: np.ndarray) -> None:
         """Write the states of one part to its rows of out (m, n, 9)."""
@@ -142,7 +155,7 @@ class _Jobs:
         except NonFiniteStateError as error:
             states = np.full((len(self.time), 9), np.nan)
             if error.step > 1:
-                states[:error.step] = self._until(run, error.step)
+                states[: error.step] = self._until(run, error.step)
             return states
         return np.hstack([r.position, r.velocity, r.current])
 
@@ -173,20 +186,29 @@ class _Jobs:
         duration = np.diff(self.time)
         counts = step_counts(duration, self.max_step)
         whole = len(runs) == LANES and runs == list(range(runs[0], runs[0] + LANES))
-        states = out[runs[0]:runs[0] + LANES] if whole else np.empty((LANES, *out.shape[1:]))
-        run_lanes(numbers.ravel(), np.stack(volts), which, counts, duration / counts,
-                  native(self.plants[runs[0]].constants.table), states)
+        states = out[runs[0] : runs[0] + LANES] if whole else np.empty((LANES, *out.shape[1:]))
+        run_lanes(
+            numbers.ravel(),
+            np.stack(volts),
+            which,
+            counts,
+            duration / counts,
+            native(self.plants[runs[0]].constants.table),
+            states,
+        )
         for lane in np.flatnonzero(~np.isfinite(states[:, -1]).all(axis=1)):
             # it ends where `Simulator` would have stopped
             bad = ~np.isfinite(states[lane]).all(axis=1)
-            states[lane, int(np.argmax(bad)):] = np.nan
+            states[lane, int(np.argmax(bad)) :] = np.nan
         if not whole:
-            out[runs] = states[:len(runs)]
+            out[runs] = states[: len(runs)]
 
     def _voltage_key(self, run: int) -> tuple:
         """Equal for runs with the same terminal voltages."""
-        return (run if len(self.volts) > 1 else 0,
-                tuple(e for e in self.plants[run].effects if e.kind.acts == "voltage"))
+        return (
+            run if len(self.volts) > 1 else 0,
+            tuple(e for e in self.plants[run].effects if e.kind.acts == "voltage"),
+        )
 
     def _terminal(self, run: int) -> np.ndarray:
         """Terminal voltages (n - 1, 3) [V] of a run."""

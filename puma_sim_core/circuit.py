@@ -6,8 +6,7 @@ from __future__ import annotations
 
 from . import effects as _registry
 from .backend import inlined
-from .effects.amplifier import (CURRENT_LIMITER, SUPPLY, limited_current, limited_rate,
-                                supply_share)
+from .effects.amplifier import CURRENT_LIMITER, SUPPLY, limited_current, limited_rate, supply_share
 
 WIDTH = _registry.WIDTH
 CURRENT_LIMIT, DROOP = _registry.CURRENT_LIMIT, _registry.DROOP
@@ -42,9 +41,11 @@ def settled_currents(i1, i2, i3, w1, w2, w3, v1, v2, v3, drive, active, p):
     y1, r1, k1, _, _, y2, r2, k2, _, _, y3, r3, k3, _, _ = drive
     if active & DROOP:
         v1, v2, v3 = supplied(v1, v2, v3, i1, i2, i3, p)
-    return (settled_current(0, i1, w1, v1, y1, r1, k1, active, p),
-            settled_current(1, i2, w2, v2, y2, r2, k2, active, p),
-            settled_current(2, i3, w3, v3, y3, r3, k3, active, p))
+    return (
+        settled_current(0, i1, w1, v1, y1, r1, k1, active, p),
+        settled_current(1, i2, w2, v2, y2, r2, k2, active, p),
+        settled_current(2, i3, w3, v3, y3, r3, k3, active, p),
+    )
 
 
 @inlined
@@ -86,5 +87,8 @@ def electric_rates(i1, i2, i3, w1, w2, w3, v1, v2, v3, drive, active, p):
 @inlined
 def limited_currents(i1, i2, i3, p):
     """`limited_current` of the three motors."""
-    return (limited_current(p, LIMIT, i1), limited_current(p, WIDTH + LIMIT, i2),
-            limited_current(p, 2 * WIDTH + LIMIT, i3))
+    return (
+        limited_current(p, LIMIT, i1),
+        limited_current(p, WIDTH + LIMIT, i2),
+        limited_current(p, 2 * WIDTH + LIMIT, i3),
+    )

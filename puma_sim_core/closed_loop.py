@@ -37,8 +37,7 @@ class Controller(Protocol):
     def reset(self) -> None:
         """Forget the past."""
 
-    def update(self, t: float, setpoint: Sequence[float],
-               measurement: Sequence[float]) -> Sequence[float]:
+    def update(self, t: float, setpoint: Sequence[float], measurement: Sequence[float]) -> Sequence[float]:
         """Three voltages [V] at time t [s]; setpoint, measurement: three positions [rad]."""
 
 
@@ -51,8 +50,11 @@ def samples_per_period(controller: Controller, period: float) -> int:
     """
     samples = round(period / controller.period)
     if samples < 1 or abs(samples * controller.period - period) > 1e-9 * period:
-        raise ParameterError(f"its period is {controller.period!r} s", where="controller",
-                             expected=f"a whole part of the {period!r} s between setpoints")
+        raise ParameterError(
+            f"its period is {controller.period!r} s",
+            where="controller",
+            expected=f"a whole part of the {period!r} s between setpoints",
+        )
     return samples
 
 
@@ -70,8 +72,16 @@ class ControlLoop:
     ``late`` is the plant's `input_delay`, None without one.
     """
 
-    def __init__(self, controller: Controller, chain: ServoConfig, sample: float, steps: int,
-                 voltage_limit: float, gear_ratios, kernel):
+    def __init__(
+        self,
+        controller: Controller,
+        chain: ServoConfig,
+        sample: float,
+        steps: int,
+        voltage_limit: float,
+        gear_ratios,
+        kernel,
+    ):
         self.controller = controller
         table = chain.table(sample, voltage_limit, gear_ratios)
         self._limit, self._amplifier = table[3], table[6]
@@ -140,10 +150,8 @@ class ControlLoop:
     def _advance(self, x, z, m, time, volts):
         """The row at the end of one sample with the voltages held; None where it is not finite."""
         if self.late is None:
-            return self._rows.run(x, z, m, time, [volts], [self._count], [self._step],
-                                  self._kernel)
-        return self._pieces.run(x, z, m, time, self.late.take(volts), self.late.counts,
-                                self.late.steps, self._kernel)
+            return self._rows.run(x, z, m, time, [volts], [self._count], [self._step], self._kernel)
+        return self._pieces.run(x, z, m, time, self.late.take(volts), self.late.counts, self.late.steps, self._kernel)
 
 
 class HeldRows:
@@ -167,8 +175,7 @@ class HeldRows:
             self._times[r], self._counts[r], self._steps[r] = time, counts[r], steps[r]
             time += counts[r] * steps[r]
         try:
-            bad = run_voltages(x, z, m, self._volts, self._times, self._counts, self._steps,
-                               *kernel, self._out)
+            bad = run_voltages(x, z, m, self._volts, self._times, self._counts, self._steps, *kernel, self._out)
         except (OverflowError, ValueError, ZeroDivisionError):
             # plain Python tells some numbers that are not finite by an exception
             return None

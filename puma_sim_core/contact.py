@@ -16,8 +16,7 @@ from __future__ import annotations
 from .backend import inlined, merged, outlined
 from .circuit import ALGEBRAIC, settled_state
 from .effects import DRY, VARYING
-from .joint_torques import (constant_level, effect_torques, gravity_torques, has_bristle, has_dry,
-                            sliding_level)
+from .joint_torques import constant_level, effect_torques, gravity_torques, has_bristle, has_dry, sliding_level
 from .kernel import LOCKED, STILL, library_trigonometry, remove_rows, rigid_body, rk4_step, solve
 
 #: changes of contact that are located inside one step; more than that is chatter, see below
@@ -38,10 +37,14 @@ def slip_direction(j, locked, w, p):
 @inlined
 def sliding(s1, s2, s3, p, push):
     """The kernel's `slip` for the three directions, and for torques [N.m] that push the joints."""
-    return (s1, s2, s3,
-            (s1 * constant_level(0, s1, p) if s1 != 0.0 else 0.0) - push[0],
-            (s2 * constant_level(1, s2, p) if s2 != 0.0 else 0.0) - push[1],
-            (s3 * constant_level(2, s3, p) if s3 != 0.0 else 0.0) - push[2])
+    return (
+        s1,
+        s2,
+        s3,
+        (s1 * constant_level(0, s1, p) if s1 != 0.0 else 0.0) - push[0],
+        (s2 * constant_level(1, s2, p) if s2 != 0.0 else 0.0) - push[1],
+        (s3 * constant_level(2, s3, p) if s3 != 0.0 else 0.0) - push[2],
+    )
 
 
 @inlined
@@ -72,8 +75,23 @@ def free_system(x, z, v, slip, body, drive, active, p):
     q1, q2, q3, w1, w2, w3, i1, i2, i3 = x
     _, _, _, n1, h1, _, _, _, n2, h2, _, _, _, n3, h3 = drive
     trig = library_trigonometry(q2, q3)
-    t1, t2, t3 = effect_torques(q1, q2, q3, w1, w2, w3, n1 * i1 - h1 * w1, n2 * i2 - h2 * w2,
-                                n3 * i3 - h3 * w3, trig, body, active, p, slip, STILL)
+    t1, t2, t3 = effect_torques(
+        q1,
+        q2,
+        q3,
+        w1,
+        w2,
+        w3,
+        n1 * i1 - h1 * w1,
+        n2 * i2 - h2 * w2,
+        n3 * i3 - h3 * w3,
+        trig,
+        body,
+        active,
+        p,
+        slip,
+        STILL,
+    )
     return rigid_body(w1, w2, w3, t1, t2, t3, trig, body)
 
 
@@ -92,9 +110,14 @@ def borne_torques(m11, m12, m13, m22, m23, m33, b1, b2, b3, lock):
     """Torques [N.m] that push each joint while the locked ones do not accelerate freely."""
     n = remove_rows(m11, m12, m13, m22, m23, m33, b1, b2, b3, lock)
     a1, a2, a3 = solve(n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7], n[8])
-    return (b1 - m11 * a1 - m12 * a2 - m13 * a3,
-            b2 - m12 * a1 - m22 * a2 - m23 * a3,
-            b3 - m13 * a1 - m23 * a2 - m33 * a3, a1, a2, a3)
+    return (
+        b1 - m11 * a1 - m12 * a2 - m13 * a3,
+        b2 - m12 * a1 - m22 * a2 - m23 * a3,
+        b3 - m13 * a1 - m23 * a2 - m33 * a3,
+        a1,
+        a2,
+        a3,
+    )
 
 
 @inlined
@@ -132,8 +155,7 @@ def contact_of(system, x, z, v, body, drive, active, p, lock, push):
     s3, may3 = motion(2, l3, w3, p)
     held, slip = lock, sliding(s1, s2, s3, p, push)
     if may1 + may2 + may3 > 0.0:
-        m11, m12, m13, m22, m23, m33, b1, b2, b3 = system(
-            x, z, v, slip, body, drive, active, p)
+        m11, m12, m13, m22, m23, m33, b1, b2, b3 = system(x, z, v, slip, body, drive, active, p)
         load = loads(x, body, drive)
         least = 1e300
         for n in range(27):
@@ -145,12 +167,17 @@ def contact_of(system, x, z, v, body, drive, active, p, lock, push):
             k3, g3 = trial(n3, may3)
             f1, f2, f3 = starting_levels(g1, g2, g3, x, load, p)
             d1, d2, d3, c1, c2, c3 = borne_torques(
-                m11, m12, m13, m22, m23, m33, b1 - f1, b2 - f2, b3 - f3,
-                (l1 + k1, l2 + k2, l3 + k3, a1, a2, a3))
+                m11, m12, m13, m22, m23, m33, b1 - f1, b2 - f2, b3 - f3, (l1 + k1, l2 + k2, l3 + k3, a1, a2, a3)
+            )
             # by how much the combination fails [N.m]; more than 0 for all is rounding only
-            failure = max(overload(0, k1, d1, x, load, p), overload(1, k2, d2, x, load, p),
-                          overload(2, k3, d3, x, load, p),
-                          -g1 * c1 * m11, -g2 * c2 * m22, -g3 * c3 * m33)
+            failure = max(
+                overload(0, k1, d1, x, load, p),
+                overload(1, k2, d2, x, load, p),
+                overload(2, k3, d3, x, load, p),
+                -g1 * c1 * m11,
+                -g2 * c2 * m22,
+                -g3 * c3 * m33,
+            )
             if failure < least:
                 least = failure
                 held = (l1 + k1, l2 + k2, l3 + k3, a1, a2, a3)
@@ -163,9 +190,11 @@ def contact_of(system, x, z, v, body, drive, active, p, lock, push):
 @inlined
 def starting_levels(g1, g2, g3, x, load, p):
     """Friction [N.m], with its sign, of joints at rest that start in these directions."""
-    return (g1 * sliding_level(0, g1, x[0], load[0], load[3], 0.0, p),
-            g2 * sliding_level(1, g2, x[1], load[1], load[4], 0.0, p),
-            g3 * sliding_level(2, g3, x[2], load[2], load[5], 0.0, p))
+    return (
+        g1 * sliding_level(0, g1, x[0], load[0], load[3], 0.0, p),
+        g2 * sliding_level(1, g2, x[1], load[1], load[4], 0.0, p),
+        g3 * sliding_level(2, g3, x[2], load[2], load[5], 0.0, p),
+    )
 
 
 @inlined
@@ -183,8 +212,7 @@ def margin(system, x, z, v, body, drive, active, p, lock, held, slip):
     k2 = held[1] - lock[1]
     k3 = held[2] - lock[2]
     if k1 + k2 + k3 > 0.0:
-        m11, m12, m13, m22, m23, m33, b1, b2, b3 = system(
-            x, z, v, slip, body, drive, active, p)
+        m11, m12, m13, m22, m23, m33, b1, b2, b3 = system(x, z, v, slip, body, drive, active, p)
         d1, d2, d3, _, _, _ = borne_torques(m11, m12, m13, m22, m23, m33, b1, b2, b3, held)
         load = loads(x, body, drive)
         if k1 != 0.0:
@@ -240,10 +268,14 @@ def contact_step(x, z, v, h, body, drive, active, p, lock, push):
     if active & ALGEBRAIC:
         # what decides whether a joint sticks is the current that these voltages drive
         x = settled_state(x, v, drive, active, p)
-    if ((x[3] != 0.0 or lock[0] != 0.0) and (x[4] != 0.0 or lock[1] != 0.0)
-            and (x[5] != 0.0 or lock[2] != 0.0)):
-        slip = sliding(slip_direction(0, lock[0], x[3], p), slip_direction(1, lock[1], x[4], p),
-                       slip_direction(2, lock[2], x[5], p), p, push)
+    if (x[3] != 0.0 or lock[0] != 0.0) and (x[4] != 0.0 or lock[1] != 0.0) and (x[5] != 0.0 or lock[2] != 0.0):
+        slip = sliding(
+            slip_direction(0, lock[0], x[3], p),
+            slip_direction(1, lock[1], x[4], p),
+            slip_direction(2, lock[2], x[5], p),
+            p,
+            push,
+        )
         # stages given as literals let the compiler drop all others
         if active == DRY:
             y, z_end = rk4_step(x, z, v, h, body, drive, DRY, p, lock, slip)
@@ -259,8 +291,7 @@ def contact_step(x, z, v, h, body, drive, active, p, lock, push):
 @outlined
 def rigid_changing_step(x, z, v, h, body, drive, active, p, lock, push):
     """`changing_step` of the arm whose links follow their motors."""
-    return changing_step(cold_step, free_contact, free_margin, x, z, v, h, body, drive, active, p,
-                         lock, push)
+    return changing_step(cold_step, free_contact, free_margin, x, z, v, h, body, drive, active, p, lock, push)
 
 
 @inlined

@@ -27,17 +27,19 @@ def fields_of(line: str, path: str | os.PathLike, number: int) -> list[str]:
     try:
         return next(csv.reader([line]))
     except csv.Error as error:
-        raise RecordingError(f"is not CSV ({error})", where=f"{path}, line {number}",
-                             expected="fields between commas") from None
+        raise RecordingError(
+            f"is not CSV ({error})", where=f"{path}, line {number}", expected="fields between commas"
+        ) from None
 
 
-def check_count(fields: Sequence[str], names: Sequence[str], path: str | os.PathLike,
-                number: int) -> None:
+def check_count(fields: Sequence[str], names: Sequence[str], path: str | os.PathLike, number: int) -> None:
     """Raise RecordingError where a line has another number of fields than there are columns."""
     if len(fields) != len(names):
-        raise RecordingError(f"{len(fields)} {'field' if len(fields) == 1 else 'fields'}",
-                             where=f"{path}, line {number}",
-                             expected=f"{len(names)} numbers, one a column")
+        raise RecordingError(
+            f"{len(fields)} {'field' if len(fields) == 1 else 'fields'}",
+            where=f"{path}, line {number}",
+            expected=f"{len(names)} numbers, one a column",
+        )
 
 
 def number_of(field: str, where: str) -> float:
@@ -78,9 +80,8 @@ class CsvRows:
             kept = _rows_among(lines)
             if kept:
                 self.names_line = first + kept[0]
-                self.names = [name.strip() for name in
-                              fields_of(lines[kept[0]], path, self.names_line)]
-                self._begun = (self.names_line + 1, lines[kept[0] + 1:])
+                self.names = [name.strip() for name in fields_of(lines[kept[0]], path, self.names_line)]
+                self._begun = (self.names_line + 1, lines[kept[0] + 1 :])
                 return
         raise RecordingError("is empty", where=str(path), expected="a line of column names")
 
@@ -102,8 +103,7 @@ class CsvRows:
             numbers = first + np.array(kept)
             values = self._quick(rows, columns)
             if values is None:
-                values = np.array([self._row(line, columns, int(number))
-                                   for line, number in zip(rows, numbers)])
+                values = np.array([self._row(line, columns, int(number)) for line, number in zip(rows, numbers)])
             yield Block(values, numbers)
 
     def _quick(self, rows, columns) -> np.ndarray | None:
@@ -121,8 +121,10 @@ class CsvRows:
     def _row(self, line, columns, number) -> list[float]:
         fields = fields_of(line, self.path, number)
         check_count(fields, self.names, self.path, number)
-        return [number_of(fields[c], f"{self.path}, line {number}, column {self.names[c]}")
-                if fields[c].strip() else nan for c in columns]
+        return [
+            number_of(fields[c], f"{self.path}, line {number}, column {self.names[c]}") if fields[c].strip() else nan
+            for c in columns
+        ]
 
     def _lines(self) -> Iterator[tuple[int, list[str]]]:
         """(number of the first line, lines without their ends), chunk by chunk."""
@@ -131,22 +133,25 @@ class CsvRows:
             with open(self.path, encoding="utf-8-sig") as file:
                 while text := file.read(_CHUNK):
                     if "\0" in text:
-                        raise RecordingError("is not text (it holds zero bytes)",
-                                             where=str(self.path), expected="a CSV file")
+                        raise RecordingError(
+                            "is not text (it holds zero bytes)", where=str(self.path), expected="a CSV file"
+                        )
                     lines = (rest + text).split("\n")
                     rest = lines.pop()
                     if len(rest) > _GREATEST_LINE:
-                        raise RecordingError(f"a line of more than {_GREATEST_LINE} characters",
-                                             where=f"{self.path}, line {number + len(lines)}",
-                                             expected="rows of numbers")
+                        raise RecordingError(
+                            f"a line of more than {_GREATEST_LINE} characters",
+                            where=f"{self.path}, line {number + len(lines)}",
+                            expected="rows of numbers",
+                        )
                     yield number, lines
                     number += len(lines)
         except OSError as error:
-            raise RecordingError(f"cannot be read ({error.strerror})", where=str(self.path),
-                                 expected="a CSV file") from None
+            raise RecordingError(
+                f"cannot be read ({error.strerror})", where=str(self.path), expected="a CSV file"
+            ) from None
         except UnicodeDecodeError:
-            raise RecordingError("is not text", where=str(self.path),
-                                 expected="a CSV file") from None
+            raise RecordingError("is not text", where=str(self.path), expected="a CSV file") from None
         if rest.strip():
             self.cut = True
             yield number, [rest]
@@ -154,5 +159,4 @@ class CsvRows:
 
 def _rows_among(lines) -> list[int]:
     """Places of the lines that are neither blank nor comments."""
-    return [i for i, line in enumerate(lines)
-            if (stripped := line.lstrip()) and stripped[0] != "#"]
+    return [i for i, line in enumerate(lines) if (stripped := line.lstrip()) and stripped[0] != "#"]

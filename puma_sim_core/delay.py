@@ -17,8 +17,8 @@ import numpy as np
 
 from .effects import DELAYED, slot
 from .effects.amplifier import INPUT_DELAY
-from .runs import LATE_WIDTH
 from .run_inputs import native, step_counts
+from .runs import LATE_WIDTH
 
 #: moments closer than this are one [s]
 _SAME = 1e-10
@@ -80,7 +80,7 @@ class Past:
         acts = np.searchsorted(change, edges[:-1] + _SAME, side="right") - 1
         kept = max(int(np.searchsorted(change, time[-1] + _SAME, side="right")) - 1, 0)
         later = Past(self.delay, time[-1] - asked[kept:], volts[kept:])
-        return Pieces(edges, volts[np.maximum(acts, 0)], row[:len(time)]), later
+        return Pieces(edges, volts[np.maximum(acts, 0)], row[: len(time)]), later
 
 
 class SampledDelay:
@@ -124,13 +124,22 @@ class SampledDelay:
 
     def hold(self, voltage: Sequence[float], past: Past | None = None) -> None:
         """Start with what `past` says was asked for, and `voltage` [V] where it says nothing."""
-        rows = [tuple(map(float, voltage)) if past is None else
-                past.before((self.size - n - 0.5) * self._sample, voltage)
-                for n in range(self.size)]
+        rows = [
+            tuple(map(float, voltage)) if past is None else past.before((self.size - n - 0.5) * self._sample, voltage)
+            for n in range(self.size)
+        ]
         #: what arrived before the first sample
         self.first = rows[0]
-        self.table = native([self._counts[0], self._steps[0], self._counts[1], self._steps[1],
-                             self.size, *(row[j] for j in range(3) for row in rows)])
+        self.table = native(
+            [
+                self._counts[0],
+                self._steps[0],
+                self._counts[1],
+                self._steps[1],
+                self.size,
+                *(row[j] for j in range(3) for row in rows),
+            ]
+        )
 
     def past(self, delay: float) -> Past:
         """What is on its way, as the `Past` of a simulator."""
@@ -143,8 +152,7 @@ class SampledDelay:
         oldest = tuple(held[:, 0].tolist())
         held[:, :-1] = held[:, 1:]
         held[:, -1] = voltage
-        self.table[LATE_WIDTH:] = held.ravel() if hasattr(self.table, "dtype") \
-            else held.ravel().tolist()
+        self.table[LATE_WIDTH:] = held.ravel() if hasattr(self.table, "dtype") else held.ravel().tolist()
         return oldest, tuple(held[:, 0].tolist())
 
 

@@ -29,8 +29,9 @@ _POSES = 0.2
 
 def vanishes(effect: Effect) -> bool:
     """Whether the effect, as it stands, leaves link and motor one: no play, no error at all."""
-    return ((effect.kind is BACKLASH and effect.values["gap"] == 0.0)
-            or (effect.kind is TRANSMISSION_ERROR and effect.values["amplitude"] == 0.0))
+    return (effect.kind is BACKLASH and effect.values["gap"] == 0.0) or (
+        effect.kind is TRANSMISSION_ERROR and effect.values["amplitude"] == 0.0
+    )
 
 
 class DriveTrains:
@@ -58,8 +59,7 @@ class DriveTrains:
         found = {(e.kind.name, e.joint): e.values for e in effects if not vanishes(e)}
         self._shares = tuple(_share(found, joint) for joint in (1, 2, 3))
         own = [motor.inertia for motor in arm.motors]
-        remaining = [0.0 if share is None else (1.0 - share) * inertia_
-                     for share, inertia_ in zip(self._shares, own)]
+        remaining = [0.0 if share is None else (1.0 - share) * inertia_ for share, inertia_ in zip(self._shares, own)]
         self.link_arm = _with_inertias(arm, remaining)
         self._check(arm, own, remaining)
         trains = []
@@ -71,8 +71,7 @@ class DriveTrains:
     def _check(self, arm, own, remaining):
         if all(share is None for share in self._shares):
             return
-        matrix = [whole if share is None else part
-                  for share, whole, part in zip(self._shares, own, remaining)]
+        matrix = [whole if share is None else part for share, whole, part in zip(self._shares, own, remaining)]
         lowest, q2, q3 = smallest_eigenvalue(_with_inertias(arm, matrix))
         if not lowest > 0.0:
             joints = [j for j, share in enumerate(self._shares, start=1) if share is not None]
@@ -81,7 +80,8 @@ class DriveTrains:
                 f"smallest eigenvalue is {lowest:.4g} kg.m^2 at q2 = {np.degrees(q2):.1f} deg, "
                 f"q3 = {np.degrees(q3):.1f} deg",
                 where="elasticity or backlash on joint " + ", ".join(map(str, joints)),
-                expected="a smaller motor_share, or another parameter set")
+                expected="a smaller motor_share, or another parameter set",
+            )
 
     def _least_rate(self, arm, found, own, remaining, trains, drive):
         """Steps in a second [1/s], two digits, that hold the fastest motion of the trains."""
@@ -100,7 +100,7 @@ class DriveTrains:
             slope = (1.0 + amplitude * order) ** 2
             stiffness[j] *= slope
             damping[j] *= slope
-            admittance, resistance, emf, kT, viscous = drive[5 * j:5 * j + 5]
+            admittance, resistance, emf, kT, viscous = drive[5 * j : 5 * j + 5]
             braking = max(braking, (viscous + kT * emf / resistance) / rotor)
             electric = max(electric, sqrt(admittance * kT * emf / rotor))
             # one of the two masses alone is never easier to move than both against each other
@@ -115,38 +115,44 @@ class DriveTrains:
 
 def _share(found, joint):
     """motor_share of a joint, None where it is rigid."""
-    shares = {found[name, joint]["motor_share"] for name in (ELASTICITY.name, BACKLASH.name)
-              if (name, joint) in found}
+    shares = {found[name, joint]["motor_share"] for name in (ELASTICITY.name, BACKLASH.name) if (name, joint) in found}
     if len(shares) > 1:
-        raise ParameterError(f"motor_share {' and '.join(f'{s:g}' for s in sorted(shares))}",
-                             where=f"elasticity and backlash of joint {joint}",
-                             expected="the same in both: the joint has one rotor")
+        raise ParameterError(
+            f"motor_share {' and '.join(f'{s:g}' for s in sorted(shares))}",
+            where=f"elasticity and backlash of joint {joint}",
+            expected="the same in both: the joint has one rotor",
+        )
     return shares.pop() if shares else None
 
 
 def _train(found, joint, share, motor_inertia):
-    springs = [(found[name, joint]["stiffness"], found[name, joint]["damping"])
-               for name in (ELASTICITY.name, BACKLASH.name) if (name, joint) in found]
+    springs = [
+        (found[name, joint]["stiffness"], found[name, joint]["damping"])
+        for name in (ELASTICITY.name, BACKLASH.name)
+        if (name, joint) in found
+    ]
     error = found.get((TRANSMISSION_ERROR.name, joint), {})
     wave = [error.get(name, 0.0) for name in ("amplitude", "order", "phase")]
     if not springs:
         return [0.0, 0.0, 0.0, 0.0, float(motor_inertia), *wave]
     if not share * motor_inertia > 0.0:
-        raise ParameterError(f"motor inertia {motor_inertia:g} kg.m^2",
-                             where=f"elasticity or backlash on joint {joint}",
-                             expected="more than 0: the rotor moves against its link")
+        raise ParameterError(
+            f"motor inertia {motor_inertia:g} kg.m^2",
+            where=f"elasticity or backlash on joint {joint}",
+            expected="more than 0: the rotor moves against its link",
+        )
     gap = found.get((BACKLASH.name, joint), {}).get("gap", 0.0)
     return [1.0, *in_series(springs), 0.5 * gap, float(share * motor_inertia), *wave]
 
 
 def _with_inertias(arm, inertias):
-    return replace(arm, motors=tuple(replace(motor, inertia=float(value))
-                                     for motor, value in zip(arm.motors, inertias)))
+    return replace(
+        arm, motors=tuple(replace(motor, inertia=float(value)) for motor, value in zip(arm.motors, inertias))
+    )
 
 
 def _poses(arm):
-    second, third = (np.linspace(low, high, int((high - low) / _POSES) + 2)
-                     for low, high in arm.joint_ranges[1:])
+    second, third = (np.linspace(low, high, int((high - low) / _POSES) + 2) for low, high in arm.joint_ranges[1:])
     second, third = np.meshgrid(second, third, indexing="ij")
     return np.stack([np.zeros(second.size), second.ravel(), third.ravel()], axis=-1)
 

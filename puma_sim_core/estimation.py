@@ -87,7 +87,7 @@ class Record:
         """(m, 3) angles [rad] of a plant under the recorded voltages, open loop."""
         simulator = Simulator(plant, constraints=self.constraints)
         simulator.reset(self.start, None, self.current)
-        return simulator.run(self.time, self.voltage).position[::self.every]
+        return simulator.run(self.time, self.voltage).position[:: self.every]
 
 
 @dataclass(frozen=True)
@@ -131,9 +131,18 @@ class Estimate:
         return value, value - half, value + half
 
 
-def record_from_servo(plant: Plant, setpoint, *, joint: int, instrument: Instrument,
-                      rng: np.random.Generator, servo, every: int = 5,
-                      settle: int = 60, voltage_limit: float = 40.0) -> tuple[Record, np.ndarray]:
+def record_from_servo(
+    plant: Plant,
+    setpoint,
+    *,
+    joint: int,
+    instrument: Instrument,
+    rng: np.random.Generator,
+    servo,
+    every: int = 5,
+    settle: int = 60,
+    voltage_limit: float = 40.0,
+) -> tuple[Record, np.ndarray]:
     """Drive one joint under the servo, the others locked, and record it as section 7.1.1 does.
 
     setpoint : (n, 3) [rad], one each 28 ms; its first row is held for `settle` periods before the
@@ -158,11 +167,11 @@ def record_from_servo(plant: Plant, setpoint, *, joint: int, instrument: Instrum
     angle[:, joint - 1] = instrument.angle(angle[:, joint - 1], joint, rng)
     rest = lead * 30
     start, current = list(setpoint[0]), [0.0, 0.0, 0.0]
-    start[joint - 1] = float(angle[:rest // every, joint - 1].mean())
-    current[joint - 1] = float(volts[:rest, joint - 1].mean()
-                               / plant.arm.motors[joint - 1].resistance)
-    record = Record(run.time[first:] - run.time[first], volts, every, angle, (joint,),
-                    constraints, tuple(start), tuple(current))
+    start[joint - 1] = float(angle[: rest // every, joint - 1].mean())
+    current[joint - 1] = float(volts[:rest, joint - 1].mean() / plant.arm.motors[joint - 1].resistance)
+    record = Record(
+        run.time[first:] - run.time[first], volts, every, angle, (joint,), constraints, tuple(start), tuple(current)
+    )
     return record, true[::every]
 
 
@@ -178,21 +187,19 @@ def _whitener(record: Record, joint: int, plant: Plant, instrument: Instrument) 
     motor = plant.arm.motors[joint - 1]
     torque = plant.torque_per_ampere[joint - 1]
     M = inertia(np.array(record.start), plant.loaded_arm)[joint - 1, joint - 1]
-    slope = (motor.back_emf * motor.gear_ratio
-             + motor.resistance * plant.viscous_friction[joint - 1] / torque)
+    slope = motor.back_emf * motor.gear_ratio + motor.resistance * plant.viscous_friction[joint - 1] / torque
     lag = motor.resistance * (M + motor.inertia) / (torque * slope) if slope > 0.0 else 1.0
     spread = instrument.voltage_deviation if record.voltage[:, joint - 1].any() else 0.0
     h = float(record.time[1] - record.time[0])
     kept = float(np.exp(-h / lag))
     step = np.array([[1.0, lag * (1.0 - kept)], [0.0, kept]])
-    push = (np.array([h - lag * (1.0 - kept), 1.0 - kept]) * spread / slope if spread
-            else np.zeros(2))
+    push = np.array([h - lag * (1.0 - kept), 1.0 - kept]) * spread / slope if spread else np.zeros(2)
     # from one recorded angle to the next
     F, Q = np.eye(2), np.zeros((2, 2))
     for _ in range(record.every):
         F, Q = step @ F, step @ Q @ step.T + np.outer(push, push)
     noise = instrument.angle_deviation(joint) ** 2
-    P = np.diag([START_SPREAD ** 2, 0.0])
+    P = np.diag([START_SPREAD**2, 0.0])
     guess = np.zeros((2, m))
     W = np.zeros((m, m))
     for k in range(m):
@@ -206,10 +213,17 @@ def _whitener(record: Record, joint: int, plant: Plant, instrument: Instrument) 
     return W
 
 
-def estimate(model: Callable[[np.ndarray], Plant], records: Sequence[Record],
-             names: Sequence[str], guess, instrument: Instrument, *, lower=0.0,
-             prior: tuple[np.ndarray, np.ndarray] | None = None,
-             confidence: float = 0.95) -> Estimate:
+def estimate(
+    model: Callable[[np.ndarray], Plant],
+    records: Sequence[Record],
+    names: Sequence[str],
+    guess,
+    instrument: Instrument,
+    *,
+    lower=0.0,
+    prior: tuple[np.ndarray, np.ndarray] | None = None,
+    confidence: float = 0.95,
+) -> Estimate:
     """Fit the model's parameters to records.
 
     model : plant for a vector of parameters; guess (k,), not zero: it sets the scale of each
@@ -225,11 +239,11 @@ def estimate(model: Callable[[np.ndarray], Plant], records: Sequence[Record],
     if not records:
         raise ParameterError("no records", where="estimation", expected="one at least")
     if guess.shape != (len(names),) or not guess.all():
-        raise ParameterError(f"guess {guess}", where="estimation",
-                             expected=f"{len(names)} numbers other than 0")
+        raise ParameterError(f"guess {guess}", where="estimation", expected=f"{len(names)} numbers other than 0")
     start = model(guess)
-    factors = {(r, j): _whitener(record, j, start, instrument)
-               for r, record in enumerate(records) for j in record.joints}
+    factors = {
+        (r, j): _whitener(record, j, start, instrument) for r, record in enumerate(records) for j in record.joints
+    }
     roots = None
     if prior is not None:
         # eigenvalues, since a precision of what nothing is known about is singular
@@ -251,16 +265,17 @@ def estimate(model: Callable[[np.ndarray], Plant], records: Sequence[Record],
     lower = np.broadcast_to(np.asarray(lower, dtype=float), guess.shape) / guess
     bounds = np.where(guess > 0.0, lower, -np.inf), np.where(guess > 0.0, np.inf, lower)
     # a step that is small beside the parameter and great beside the rounding of a long run
-    fit = least_squares(residuals, np.ones(len(guess)), method="trf", diff_step=1e-4,
-                        bounds=bounds,
-                        xtol=1e-10, ftol=1e-10, gtol=1e-10)
+    fit = least_squares(
+        residuals, np.ones(len(guess)), method="trf", diff_step=1e-4, bounds=bounds, xtol=1e-10, ftol=1e-10, gtol=1e-10
+    )
     _check_distinct(fit.jac, names)
     information = cho_factor(fit.jac.T @ fit.jac)
     covariance = cho_solve(information, np.eye(len(guess))) * np.outer(guess, guess)
     freedom = len(fit.fun) - len(guess)
     total = 2.0 * fit.cost
-    return Estimate(tuple(names), fit.x * guess, covariance, total / freedom,
-                    float(chi2.sf(total, freedom)), confidence)
+    return Estimate(
+        tuple(names), fit.x * guess, covariance, total / freedom, float(chi2.sf(total, freedom)), confidence
+    )
 
 
 def _check_distinct(jacobian: np.ndarray, names: Sequence[str]) -> None:
@@ -268,14 +283,20 @@ def _check_distinct(jacobian: np.ndarray, names: Sequence[str]) -> None:
     size = np.linalg.norm(jacobian, axis=0)
     if not (size > 0.0).all():
         silent = ", ".join(n for n, s in zip(names, size) if not s > 0.0)
-        raise ParameterError(f"the records do not depend on {silent}", where="estimation",
-                             expected="a motion that excites each parameter")
+        raise ParameterError(
+            f"the records do not depend on {silent}",
+            where="estimation",
+            expected="a motion that excites each parameter",
+        )
     _, values, directions = np.linalg.svd(jacobian / size, full_matrices=False)
     if values[-1] * GREATEST_CONDITION < values[0]:
         worst = np.abs(directions[-1])
         mixed = ", ".join(n for n, w in zip(names, worst) if w > 0.1 * worst.max())
-        raise ParameterError(f"the records do not tell {mixed} apart", where="estimation",
-                             expected="motions in which they act differently, or fewer parameters")
+        raise ParameterError(
+            f"the records do not tell {mixed} apart",
+            where="estimation",
+            expected="motions in which they act differently, or fewer parameters",
+        )
 
 
 def with_gyration(plant: Plant, changes: dict[str, float]) -> Plant:
@@ -287,13 +308,10 @@ def with_gyration(plant: Plant, changes: dict[str, float]) -> Plant:
     """
     links = list(plant.arm.links)
     for name, value in changes.items():
-        if (len(name) != 4 or name[0] != "k" or name[1] not in "123"
-                or name[2:] not in ("xx", "yy", "zz")):
-            raise ParameterError(f"'{name}'", where="radius of gyration",
-                                 expected="k1xx to k3zz")
+        if len(name) != 4 or name[0] != "k" or name[1] not in "123" or name[2:] not in ("xx", "yy", "zz"):
+            raise ParameterError(f"'{name}'", where="radius of gyration", expected="k1xx to k3zz")
         axis, n = ("xx", "yy", "zz").index(name[2:]), int(name[1]) - 1
         k = list(links[n].gyration_squared)
         k[axis] = float(value)
         links[n] = replace(links[n], gyration_squared=tuple(k))
     return Plant(replace(plant.arm, links=tuple(links)), plant.effects, plant.torque_form)
-

@@ -49,8 +49,11 @@ def whole_file(path: str | os.PathLike, error: type[PumaSimError]) -> Iterator[T
     except BrokenPipeError:
         raise
     except OSError as reason:
-        raise error(f"cannot be written ({reason.strerror})", where=str(given),
-                    expected="a path in a folder that can be written") from None
+        raise error(
+            f"cannot be written ({reason.strerror})",
+            where=str(given),
+            expected="a path in a folder that can be written",
+        ) from None
 
 
 def is_special(path: str | os.PathLike) -> bool:
@@ -66,15 +69,14 @@ class _StrictLoader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=True)
             if isinstance(key, str) and key in seen:
-                raise yaml.constructor.ConstructorError(
-                    None, None, f"key '{key}' stands twice", key_node.start_mark)
+                raise yaml.constructor.ConstructorError(None, None, f"key '{key}' stands twice", key_node.start_mark)
             seen.add(key if isinstance(key, str) else None)
         return super().construct_mapping(node, deep=deep)
 
 
 _StrictLoader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
-    list("-+.0123456789"))
+    "tag:yaml.org,2002:float", re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
+)
 
 
 def parse_yaml(text: str, where: str, error: type[PumaSimError] = ParameterError):
@@ -90,8 +92,9 @@ def parse_yaml(text: str, where: str, error: type[PumaSimError] = ParameterError
         mark = getattr(reason, "problem_mark", None)
         line = "" if mark is None else f", line {mark.line + 1}"
         what = getattr(reason, "problem", None) or str(reason)
-        raise error(f"not usable as YAML ({what})", where=f"{where}{line}",
-                    expected="YAML with each key once") from None
+        raise error(
+            f"not usable as YAML ({what})", where=f"{where}{line}", expected="YAML with each key once"
+        ) from None
 
 
 def read_yaml(path: str | os.PathLike, error: type[PumaSimError] = ParameterError):
@@ -104,8 +107,7 @@ def read_yaml(path: str | os.PathLike, error: type[PumaSimError] = ParameterErro
     try:
         text = Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as reason:
-        raise error(f"cannot be read ({reason})", where=str(path),
-                    expected="a readable YAML file") from None
+        raise error(f"cannot be read ({reason})", where=str(path), expected="a readable YAML file") from None
     return parse_yaml(text, str(path), error)
 
 
@@ -114,8 +116,7 @@ def yaml_text(mapping: Mapping) -> str:
     return yaml.safe_dump(dict(mapping), sort_keys=False, allow_unicode=True, width=100)
 
 
-def write_yaml(mapping: Mapping, path: str | os.PathLike,
-               error: type[PumaSimError] = ParameterError) -> None:
+def write_yaml(mapping: Mapping, path: str | os.PathLike, error: type[PumaSimError] = ParameterError) -> None:
     """Write a mapping of plain types; raises `error` as `whole_file` does."""
     with whole_file(path, error) as file:
         file.write(yaml_text(mapping))

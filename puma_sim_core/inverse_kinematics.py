@@ -32,17 +32,20 @@ def wrist_angles(point, arm: ArmParameters, near) -> np.ndarray:
     """
     x, y, z = (float(value) for value in point)
     where = f"wrist at ({x:.4f}, {y:.4f}, {z:.4f}) m"
-    flat = x * x + y * y - arm.d3 ** 2
+    flat = x * x + y * y - arm.d3**2
     if flat < 0.0:
-        raise ParameterError("too near to the axis of joint 1", where=where,
-                             expected=f"a distance of at least {abs(arm.d3):.4f} m")
+        raise ParameterError(
+            "too near to the axis of joint 1", where=where, expected=f"a distance of at least {abs(arm.d3):.4f} m"
+        )
     rho, phi = hypot(arm.a3, arm.d4), atan2(arm.d4, arm.a3)
     down = -z
-    bend = (flat + down * down - arm.a2 ** 2 - rho ** 2) / (2.0 * arm.a2 * rho)
+    bend = (flat + down * down - arm.a2**2 - rho**2) / (2.0 * arm.a2 * rho)
     if abs(bend) > 1.0 + _ROUNDING:
-        raise ParameterError("out of reach", where=where,
-                             expected=f"a distance from the shoulder between "
-                                      f"{abs(arm.a2 - rho):.4f} and {arm.a2 + rho:.4f} m")
+        raise ParameterError(
+            "out of reach",
+            where=where,
+            expected=f"a distance from the shoulder between {abs(arm.a2 - rho):.4f} and {arm.a2 + rho:.4f} m",
+        )
     bend = max(-1.0, min(1.0, bend))
     solutions = []
     for side, elbow in product((1.0, -1.0), (1.0, -1.0)):

@@ -13,11 +13,25 @@ from math import cos, sin
 
 from . import effects as _registry
 from .backend import inlined, outlined
-from .effects.friction import (ASYMMETRIC_COULOMB, COULOMB, LOAD_DEPENDENT, POSITION_DEPENDENT,
-                               PRESLIDING, QUADRATIC, STRIBECK, asymmetric_level, bristle_flow,
-                               coulomb_level, load_level, loaded_torque, position_level,
-                               presliding_level, quadratic_torque, stribeck_level,
-                               stribeck_sliding_level)
+from .effects.friction import (
+    ASYMMETRIC_COULOMB,
+    COULOMB,
+    LOAD_DEPENDENT,
+    POSITION_DEPENDENT,
+    PRESLIDING,
+    QUADRATIC,
+    STRIBECK,
+    asymmetric_level,
+    bristle_flow,
+    coulomb_level,
+    load_level,
+    loaded_torque,
+    position_level,
+    presliding_level,
+    quadratic_torque,
+    stribeck_level,
+    stribeck_sliding_level,
+)
 from .effects.motor import RIPPLE, ripple_torque
 from .effects.outside import BASE_TILT, SPRING, spring_torque, tilt_torques
 from .effects.stops import SOFT_STOP, stop_torque
@@ -105,9 +119,14 @@ def inverse_torque(j, sign, q, gravity, torque, speed, p):
 def has_dry(j, p):
     """Whether joint j has dry friction, in one direction and in one pose at least."""
     k = j * WIDTH
-    return (constant_level(j, 1.0, p) > 0.0 or constant_level(j, -1.0, p) > 0.0
-            or p[k + _STRIBECK] > 0.0 or p[k + _LOAD] > 0.0 or p[k + _POSITION] > 0.0
-            or p[k + _POSITION + 1] > 0.0)
+    return (
+        constant_level(j, 1.0, p) > 0.0
+        or constant_level(j, -1.0, p) > 0.0
+        or p[k + _STRIBECK] > 0.0
+        or p[k + _LOAD] > 0.0
+        or p[k + _POSITION] > 0.0
+        or p[k + _POSITION + 1] > 0.0
+    )
 
 
 @inlined
@@ -151,16 +170,24 @@ def smooth_torques(q1, q2, q3, w1, w2, w3, p):
 @outlined
 def tilted_torques(q1, trig, body, p):
     """`tilt_torques` of the plant's base."""
-    return tilt_torques(p[_TILT], p[_TILT + 1], p[_TILT + WIDTH], p[_TILT + WIDTH + 1],
-                        p[_TILT + 2 * WIDTH], sin(q1), cos(q1), trig, body)
+    return tilt_torques(
+        p[_TILT],
+        p[_TILT + 1],
+        p[_TILT + WIDTH],
+        p[_TILT + WIDTH + 1],
+        p[_TILT + 2 * WIDTH],
+        sin(q1),
+        cos(q1),
+        trig,
+        body,
+    )
 
 
 @inlined
 def pose_levels(q1, q2, q3, t1, t2, t3, trig, body, p):
     """`pose_level` of the three joints."""
     G2, G3 = gravity_torques(trig, body)
-    return (pose_level(0, q1, 0.0, t1, p), pose_level(1, q2, G2, t2, p),
-            pose_level(2, q3, G3, t3, p))
+    return (pose_level(0, q1, 0.0, t1, p), pose_level(1, q2, G2, t2, p), pose_level(2, q3, G3, t3, p))
 
 
 @inlined
@@ -206,8 +233,11 @@ def effect_torques(q1, q2, q3, w1, w2, w3, t1, t2, t3, trig, body, active, p, sl
 def bristle_levels(q1, q2, q3, w1, w2, w3, motors, trig, body, p):
     """`bristle_level` of the three joints; motors : what they give after viscous friction."""
     G2, G3 = gravity_torques(trig, body)
-    return (bristle_level(0, q1, 0.0, motors[0], w1, p), bristle_level(1, q2, G2, motors[1], w2, p),
-            bristle_level(2, q3, G3, motors[2], w3, p))
+    return (
+        bristle_level(0, q1, 0.0, motors[0], w1, p),
+        bristle_level(1, q2, G2, motors[1], w2, p),
+        bristle_level(2, q3, G3, motors[2], w3, p),
+    )
 
 
 @inlined

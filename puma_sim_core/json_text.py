@@ -30,8 +30,7 @@ def _text(value: Any, indent: str, sort_keys: bool) -> str:
     inner = indent + " "
     if isinstance(value, dict) and value:
         names = sorted(value) if sort_keys else value
-        lines = [f"{inner}{_flat(name, sort_keys)}: {_text(value[name], inner, sort_keys)}"
-                 for name in names]
+        lines = [f"{inner}{_flat(name, sort_keys)}: {_text(value[name], inner, sort_keys)}" for name in names]
         return "{\n" + ",\n".join(lines) + f"\n{indent}}}"
     if isinstance(value, list) and value and isinstance(value[0], (dict, list)):
         lines = [inner + _text(item, inner, sort_keys) for item in value]

@@ -29,8 +29,7 @@ from math import cos, sin
 
 from . import effects as _registry
 from .backend import inlined
-from .circuit import (ALGEBRAIC, LIMIT, electric_rates, limited_currents, limited_rate,
-                      motor_torques, settled_currents)
+from .circuit import ALGEBRAIC, LIMIT, electric_rates, limited_currents, limited_rate, motor_torques, settled_currents
 from .joint_torques import bristle_levels, bristle_torques, effect_torques
 
 WIDTH = _registry.WIDTH
@@ -123,8 +122,7 @@ def solve(m11, m12, m13, m22, m23, m33, b1, b2, b3):
 
 
 @inlined
-def derivative(q1, q2, q3, w1, w2, w3, i1, i2, i3, v1, v2, v3,
-               trig, body, drive, active, p, lock, slip, bend):
+def derivative(q1, q2, q3, w1, w2, w3, i1, i2, i3, v1, v2, v3, trig, body, drive, active, p, lock, slip, bend):
     """(qdd1, qdd2, qdd3, di1/dt, di2/dt, di3/dt) in rad/s^2 and A/s.
 
     Sines and cosines come in from the caller, so that a batch can take them over several runs
@@ -132,8 +130,7 @@ def derivative(q1, q2, q3, w1, w2, w3, i1, i2, i3, v1, v2, v3,
     """
     y1, r1, k1, n1, h1, y2, r2, k2, n2, h2, y3, r3, k3, n3, h3 = drive
     if active & (DROOP | ALGEBRAIC):
-        i1, i2, i3, e1, e2, e3 = electric_rates(
-            i1, i2, i3, w1, w2, w3, v1, v2, v3, drive, active, p)
+        i1, i2, i3, e1, e2, e3 = electric_rates(i1, i2, i3, w1, w2, w3, v1, v2, v3, drive, active, p)
     else:
         # written out: as a call of its own it makes all that follows slower by half
         e1 = (v1 - r1 * i1 - k1 * w1) * y1
@@ -147,13 +144,10 @@ def derivative(q1, q2, q3, w1, w2, w3, i1, i2, i3, v1, v2, v3,
     t2 = n2 * i2 - h2 * w2
     t3 = n3 * i3 - h3 * w3
     if active:
-        t1, t2, t3 = effect_torques(q1, q2, q3, w1, w2, w3, t1, t2, t3, trig, body, active, p,
-                                    slip, bend)
-    m11, m12, m13, m22, m23, m33, b1, b2, b3 = rigid_body(
-        w1, w2, w3, t1, t2, t3, trig, body)
+        t1, t2, t3 = effect_torques(q1, q2, q3, w1, w2, w3, t1, t2, t3, trig, body, active, p, slip, bend)
+    m11, m12, m13, m22, m23, m33, b1, b2, b3 = rigid_body(w1, w2, w3, t1, t2, t3, trig, body)
     if active & LOCKED:
-        m11, m12, m13, m22, m23, m33, b1, b2, b3 = remove_rows(
-            m11, m12, m13, m22, m23, m33, b1, b2, b3, lock)
+        m11, m12, m13, m22, m23, m33, b1, b2, b3 = remove_rows(m11, m12, m13, m22, m23, m33, b1, b2, b3, lock)
     a1, a2, a3 = solve(m11, m12, m13, m22, m23, m33, b1, b2, b3)
     return a1, a2, a3, e1, e2, e3
 
@@ -188,8 +182,27 @@ def build_step(trigonometry):
         if active & BRISTLE:
             _, bend = bristle_torques(z, 0.0, 0.0, 0.0, level, p)
         a1, a2, a3, e1, e2, e3 = derivative(
-            q1, q2, q3, w1, w2, w3, i1, i2, i3, v1, v2, v3,
-            trigonometry(q2, q3), body, drive, active, p, lock, slip, bend)
+            q1,
+            q2,
+            q3,
+            w1,
+            w2,
+            w3,
+            i1,
+            i2,
+            i3,
+            v1,
+            v2,
+            v3,
+            trigonometry(q2, q3),
+            body,
+            drive,
+            active,
+            p,
+            lock,
+            slip,
+            bend,
+        )
 
         u1 = w1 + half * a1
         u2 = w2 + half * a2
@@ -200,28 +213,63 @@ def build_step(trigonometry):
         if active & BRISTLE:
             motors = STILL
             if active & POSED:
-                motors = motor_torques(i1 + half * e1, i2 + half * e2, i3 + half * e3, u1, u2, u3,
-                                       v1, v2, v3, drive, active, p)
+                motors = motor_torques(
+                    i1 + half * e1, i2 + half * e2, i3 + half * e3, u1, u2, u3, v1, v2, v3, drive, active, p
+                )
             level = bristle_levels(q1 + half * w1, r2, r3, u1, u2, u3, motors, trig, body, p)
-            _, bend = bristle_torques(
-                z, half * w1, half * w2, half * w3, level, p)
+            _, bend = bristle_torques(z, half * w1, half * w2, half * w3, level, p)
         b1, b2, b3, f1, f2, f3 = derivative(
-            q1 + half * w1, r2, r3, u1, u2, u3,
-            i1 + half * e1, i2 + half * e2, i3 + half * e3, v1, v2, v3,
-            trig, body, drive, active, p, lock, slip, bend)
+            q1 + half * w1,
+            r2,
+            r3,
+            u1,
+            u2,
+            u3,
+            i1 + half * e1,
+            i2 + half * e2,
+            i3 + half * e3,
+            v1,
+            v2,
+            v3,
+            trig,
+            body,
+            drive,
+            active,
+            p,
+            lock,
+            slip,
+            bend,
+        )
 
         x1 = w1 + half * b1
         x2 = w2 + half * b2
         x3 = w3 + half * b3
         if active & BRISTLE:
-            _, bend = bristle_torques(
-                z, half * u1, half * u2, half * u3, level, p)
+            _, bend = bristle_torques(z, half * u1, half * u2, half * u3, level, p)
         r2 = q2 + half * u2
         r3 = q3 + half * u3
         c1, c2, c3, g1, g2, g3 = derivative(
-            q1 + half * u1, r2, r3, x1, x2, x3,
-            i1 + half * f1, i2 + half * f2, i3 + half * f3, v1, v2, v3,
-            trigonometry(r2, r3), body, drive, active, p, lock, slip, bend)
+            q1 + half * u1,
+            r2,
+            r3,
+            x1,
+            x2,
+            x3,
+            i1 + half * f1,
+            i2 + half * f2,
+            i3 + half * f3,
+            v1,
+            v2,
+            v3,
+            trigonometry(r2, r3),
+            body,
+            drive,
+            active,
+            p,
+            lock,
+            slip,
+            bend,
+        )
 
         y1 = w1 + h * c1
         y2 = w2 + h * c2
@@ -231,9 +279,27 @@ def build_step(trigonometry):
         r2 = q2 + h * x2
         r3 = q3 + h * x3
         d1, d2, d3, k1, k2, k3 = derivative(
-            q1 + h * x1, r2, r3, y1, y2, y3,
-            i1 + h * g1, i2 + h * g2, i3 + h * g3, v1, v2, v3,
-            trigonometry(r2, r3), body, drive, active, p, lock, slip, bend)
+            q1 + h * x1,
+            r2,
+            r3,
+            y1,
+            y2,
+            y3,
+            i1 + h * g1,
+            i2 + h * g2,
+            i3 + h * g3,
+            v1,
+            v2,
+            v3,
+            trigonometry(r2, r3),
+            body,
+            drive,
+            active,
+            p,
+            lock,
+            slip,
+            bend,
+        )
 
         sixth = h / 6.0
         m1 = w1 + 2.0 * (u1 + x1) + y1
@@ -251,8 +317,7 @@ def build_step(trigonometry):
         w3 += sixth * (a3 + 2.0 * (b3 + c3) + d3)
         if active & ALGEBRAIC:
             i1, i2, i3 = settled_currents(i1, i2, i3, w1, w2, w3, v1, v2, v3, drive, active, p)
-        return (q1 + sixth * m1, q2 + sixth * m2, q3 + sixth * m3, w1, w2, w3,
-                i1, i2, i3), z_end
+        return (q1 + sixth * m1, q2 + sixth * m2, q3 + sixth * m3, w1, w2, w3, i1, i2, i3), z_end
 
     return rk4_step
 

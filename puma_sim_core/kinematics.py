@@ -19,10 +19,7 @@ from .parameters import ArmParameters
 _ALPHA = np.radians([-90.0, 0.0, 90.0, -90.0, 90.0, 0.0])
 
 #: derivative of a rotation about z: dT/dq = Q T (equation 2.2)
-Q = np.array([[0.0, -1.0, 0.0, 0.0],
-              [1.0, 0.0, 0.0, 0.0],
-              [0.0, 0.0, 0.0, 0.0],
-              [0.0, 0.0, 0.0, 0.0]])
+Q = np.array([[0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0]])
 Q.setflags(write=False)
 
 
@@ -38,10 +35,7 @@ def dh_transform(q, a: float, alpha: float, d: float) -> np.ndarray:
     s, c = np.sin(q), np.cos(q)
     # twists are quarter turns, whose sine and cosine should be exact
     sa, ca = _exact(np.sin(alpha)), _exact(np.cos(alpha))
-    return np.array([[c, -s * ca, s * sa, a * c],
-                     [s, c * ca, -c * sa, a * s],
-                     [0.0, sa, ca, d],
-                     [0.0, 0.0, 0.0, 1.0]])
+    return np.array([[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0.0, sa, ca, d], [0.0, 0.0, 0.0, 1.0]])
 
 
 def link_transforms(q, arm) -> np.ndarray:
@@ -102,10 +96,7 @@ def delta_operator(axis, translation=(0.0, 0.0, 0.0)) -> np.ndarray:
     """
     kx, ky, kz = axis
     dx, dy, dz = translation
-    return np.array([[0.0, -kz, ky, dx],
-                     [kz, 0.0, -kx, dy],
-                     [-ky, kx, 0.0, dz],
-                     [0.0, 0.0, 0.0, 0.0]])
+    return np.array([[0.0, -kz, ky, dx], [kz, 0.0, -kx, dy], [-ky, kx, 0.0, dz], [0.0, 0.0, 0.0, 0.0]])
 
 
 def base_delta(q, joint: int, arm) -> np.ndarray:
@@ -148,7 +139,7 @@ def second_derivatives(q, arm) -> np.ndarray:
     for p in range(n):
         for i in range(p + 1):
             for j in range(i, p + 1):
-                out[p, i, j] = (between[0][i] @ Q @ between[i][j] @ Q @ between[j][p + 1])
+                out[p, i, j] = between[0][i] @ Q @ between[i][j] @ Q @ between[j][p + 1]
                 out[p, j, i] = out[p, i, j]
     return out
 
@@ -172,9 +163,8 @@ def _arguments(q, arm):
         q = q.astype(float)
     table = dh_table(arm) if isinstance(arm, ArmParameters) else np.asarray(arm, dtype=float)
     if q.ndim != 1 or len(q) > len(table):
-        raise ValueError(f"angles of shape {q.shape} for {len(table)} links; "
-                         f"expected (n,) with n at most {len(table)}")
-    return q, table[:len(q)]
+        raise ValueError(f"angles of shape {q.shape} for {len(table)} links; expected (n,) with n at most {len(table)}")
+    return q, table[: len(q)]
 
 
 def _exact(value):

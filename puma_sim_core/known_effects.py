@@ -19,9 +19,17 @@ from .effects.columns.common import change_of_voltage, derivative, torque_volts
 from .effects.columns.transmission import link_side, on_links, shaft_torque, tooth_torque
 from .effects.motor import DRIFT
 from .effects.screening import Signals
-from .joint_torques import (bristle_level, bristle_step, gravity_torques, has_bristle,
-                            inverse_torque, sliding_level, smooth_torques, tilted_torques)
-from .kernel import STILL, library_trigonometry
+from .joint_torques import (
+    bristle_level,
+    bristle_step,
+    gravity_torques,
+    has_bristle,
+    inverse_torque,
+    sliding_level,
+    smooth_torques,
+    tilted_torques,
+)
+from .kernel import library_trigonometry
 from .mechanisms import Mechanism
 from .runs import terminal_voltage
 from .timed import drive_at, push_over
@@ -150,16 +158,23 @@ def _torques(plant, signals: Signals, body, drive, active, p) -> np.ndarray:
     speed = signals.velocity
     width = np.maximum(2.0 * signals.velocity_noise, 1e-9)
     motor = signals.torque - signals.viscous * speed
-    arrays = [np.pad(values, hidden) for values in
-              (signals.position, speed, motor, speed / np.hypot(speed, width))]
+    arrays = [np.pad(values, hidden) for values in (signals.position, speed, motor, speed / np.hypot(speed, width))]
     begin = np.diff(signals.segment, prepend=signals.segment[0] - 1) != 0
     out = np.zeros((len(signals.time), 3))
     if BACKEND == "numba":
-        _taken(signals.time, signals.step, *arrays, begin.astype(float), body, drive, active, p,
-               out)
+        _taken(signals.time, signals.step, *arrays, begin.astype(float), body, drive, active, p, out)
     else:
-        _taken(signals.time.tolist(), signals.step, *(a.tolist() for a in arrays),
-               begin.astype(float).tolist(), body, drive, active, p, out)
+        _taken(
+            signals.time.tolist(),
+            signals.step,
+            *(a.tolist() for a in arrays),
+            begin.astype(float).tolist(),
+            body,
+            drive,
+            active,
+            p,
+            out,
+        )
     return out
 
 
@@ -172,8 +187,7 @@ def _lost_before_the_motor(signals: Signals, current, active: int, p, hidden: in
         cuts = np.flatnonzero(np.diff(signals.segment)) + 1
         for rows in np.split(np.arange(len(signals.time)), cuts):
             for j in range(signals.joints):
-                arriving[rows, j] = np.interp(signals.time[rows] - late, signals.time[rows],
-                                              signals.voltage[rows, j])
+                arriving[rows, j] = np.interp(signals.time[rows] - late, signals.time[rows], signals.voltage[rows, j])
     padded = np.pad(arriving, ((0, 0), (hidden, 0)))
     out = np.zeros_like(padded)
     _terminal(padded if BACKEND == "numba" else padded.tolist(), p, out)
@@ -199,8 +213,11 @@ def _seen_otherwise(effects, signals: Signals) -> np.ndarray:
         elif effect.kind.name == "sensor_nonlinearity":
             n = 2.0 * np.pi / values["period"]
             angle, a = n * q + values["phase"], values["amplitude"]
-            change = (-a * np.sin(angle), -a * n * np.cos(angle) * qd,
-                      a * n * (n * np.sin(angle) * qd ** 2 - np.cos(angle) * qdd))
+            change = (
+                -a * np.sin(angle),
+                -a * n * np.cos(angle) * qd,
+                a * n * (n * np.sin(angle) * qd**2 - np.cos(angle) * qdd),
+            )
         else:
             continue
         for i, volts in change_of_voltage(signals, j, *change).items():
@@ -213,20 +230,23 @@ def _train(effect: Effect, signals: Signals) -> np.ndarray:
     total = np.zeros_like(signals.position)
     if effect.kind.name == "transmission_error":
         j, v = effect.joint - 1, effect.values
-        q, qd, qdd = (each[:, j] for each in (signals.position, signals.velocity,
-                                              signals.acceleration))
+        q, qd, qdd = (each[:, j] for each in (signals.position, signals.velocity, signals.acceleration))
         n, e, angle = v["order"], v["amplitude"], v["order"] * q + v["phase"]
-        change = (e * np.sin(angle), e * n * np.cos(angle) * qd,
-                  e * n * (np.cos(angle) * qdd - n * np.sin(angle) * qd ** 2))
+        change = (
+            e * np.sin(angle),
+            e * n * np.cos(angle) * qd,
+            e * n * (np.cos(angle) * qdd - n * np.sin(angle) * qd**2),
+        )
         found = change_of_voltage(signals, j, *change, motor=False)
-        found[j] = found[j] + torque_volts(signals, j,
-                                           e * n * np.cos(angle) * signals.link_torque[:, j])
+        found[j] = found[j] + torque_volts(signals, j, e * n * np.cos(angle) * signals.link_torque[:, j])
     elif effect.kind.name in ("joint_elasticity", "backlash"):
         j, v = effect.joint - 1, effect.values
         inertia, torque = link_side(signals, j)
-        passed = (shaft_torque(signals, torque, inertia, v["stiffness"], v["damping"])
-                  if effect.kind.name == "joint_elasticity" else
-                  tooth_torque(signals, torque, inertia, v["gap"], v["stiffness"], v["damping"]))
+        passed = (
+            shaft_torque(signals, torque, inertia, v["stiffness"], v["damping"])
+            if effect.kind.name == "joint_elasticity"
+            else tooth_torque(signals, torque, inertia, v["gap"], v["stiffness"], v["damping"])
+        )
         found = on_links(signals, j, passed - torque, inertia)
     else:
         return total

@@ -52,8 +52,9 @@ def read_mechanism(path: str | os.PathLike) -> Mechanism:
 
 
 def _arm(reader: Reader, mapping: Mapping, folder: Path) -> ArmMechanism:
-    reader.keys(mapping, "", ("format", "name", "kind", "parameters", "viscous_friction",
-                              "torque_scale", "relative_deviation"))
+    reader.keys(
+        mapping, "", ("format", "name", "kind", "parameters", "viscous_friction", "torque_scale", "relative_deviation")
+    )
     source = reader.text(mapping["parameters"], "parameters")
     beside = folder / source
     arm = load_parameters(beside if beside.is_file() else source)
@@ -66,8 +67,7 @@ def _arm(reader: Reader, mapping: Mapping, folder: Path) -> ArmMechanism:
         key = f"relative_deviation.{name}"
         entry = reader.entry(shares[name], key, "1")
         widths[name] = reader.number(entry["value"], f"{key}.value", 0.0, 1.0)
-    return ArmMechanism.of(arm, viscous, widths, scale,
-                           name=reader.text(mapping["name"], "name"))
+    return ArmMechanism.of(arm, viscous, widths, scale, name=reader.text(mapping["name"], "name"))
 
 
 class Reader:
@@ -87,12 +87,10 @@ class Reader:
             self.fail(key, f"{mapping!r}"[:80], f"a mapping with the keys {', '.join(names)}")
         for name in mapping:
             if name not in names:
-                self.fail(f"{key}.{name}" if key else str(name), "unknown key",
-                          f"one of {', '.join(names)}")
+                self.fail(f"{key}.{name}" if key else str(name), "unknown key", f"one of {', '.join(names)}")
         for name in names:
             if name not in mapping and name not in optional:
-                self.fail(f"{key}.{name}" if key else name, "missing",
-                          f"this key in {key}" if key else "this key")
+                self.fail(f"{key}.{name}" if key else name, "missing", f"this key in {key}" if key else "this key")
 
     def text(self, value, key: str) -> str:
         """A text that is not empty."""
@@ -111,10 +109,8 @@ class Reader:
     def entry(self, entry, key: str, unit: str, further=()) -> Mapping:
         """The mapping {value, unit, source} of a number, with the right unit."""
         if not isinstance(entry, Mapping):
-            self.fail(key, f"{entry!r} without a unit"[:80],
-                      f"{{value: ..., unit: {unit}, source: ...}}")
-        self.keys(entry, key, ("value", "unit", "source", *further),
-                  optional=("source", *further))
+            self.fail(key, f"{entry!r} without a unit"[:80], f"{{value: ..., unit: {unit}, source: ...}}")
+        self.keys(entry, key, ("value", "unit", "source", *further), optional=("source", *further))
         if str(entry["unit"]) != unit:
             self.fail(f"{key}.unit", f"unit '{entry['unit']}'"[:80], unit)
         if "source" in entry:

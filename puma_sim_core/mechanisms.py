@@ -132,8 +132,7 @@ class Mechanism(ABC):
         if theta is not None:
             theta = np.asarray(theta)
             if theta.shape != (len(self.free),):
-                raise ParameterError(f"theta of shape {theta.shape}", where=self.name,
-                                     expected=f"({len(self.free)},)")
+                raise ParameterError(f"theta of shape {theta.shape}", where=self.name, expected=f"({len(self.free)},)")
             result.update(zip((p.name for p in self.free), theta.tolist()))
         return result
 
@@ -204,8 +203,7 @@ class Mechanism(ABC):
     def model_voltage(self, theta, q, qd, qdd) -> np.ndarray:
         """(n, J) Vhat without its lag term: k * total torque + emf qd."""
         drive = self.drive(theta)
-        return (drive.volts_per_torque * self.total_torque(theta, q, qd, qdd)
-                + drive.emf * np.asarray(qd))
+        return drive.volts_per_torque * self.total_torque(theta, q, qd, qdd) + drive.emf * np.asarray(qd)
 
     def position_gradient(self, theta, q, qd, qdd) -> np.ndarray:
         """(n, J, J) change of `torque` of joint i per rad (m) of joint j, by differences."""
@@ -214,8 +212,7 @@ class Mechanism(ABC):
         for j in range(self.joints):
             step = np.zeros(self.joints)
             step[j] = 1e-5
-            columns.append((self.torque(theta, q + step, qd, qdd)
-                            - self.torque(theta, q - step, qd, qdd)) / 2e-5)
+            columns.append((self.torque(theta, q + step, qd, qdd) - self.torque(theta, q - step, qd, qdd)) / 2e-5)
         return np.stack(columns, axis=-1)
 
     def drive_jacobian(self, theta) -> Drive:
@@ -254,8 +251,12 @@ def mechanism_names() -> list[str]:
     return sorted(names, key=lambda name: name != "puma560")
 
 
-def load_mechanism(name_or_path: str | os.PathLike = "puma560", *, parameters: str | None = None,
-                   model: str | os.PathLike | None = None) -> Mechanism:
+def load_mechanism(
+    name_or_path: str | os.PathLike = "puma560",
+    *,
+    parameters: str | None = None,
+    model: str | os.PathLike | None = None,
+) -> Mechanism:
     """Read and check a mechanism of the house by its name, or a file by its path.
 
     Parameters
@@ -276,14 +277,18 @@ def load_mechanism(name_or_path: str | os.PathLike = "puma560", *, parameters: s
     if str(name_or_path) in names:
         path = config_path("mechanisms", f"{name_or_path}.yaml")
     elif not path.is_file():
-        raise ParameterError(f"no mechanism or file '{name_or_path}'",
-                             expected=f"the path of a YAML file or one of {', '.join(names)}")
+        raise ParameterError(
+            f"no mechanism or file '{name_or_path}'", expected=f"the path of a YAML file or one of {', '.join(names)}"
+        )
     mechanism = read_mechanism(path)
     if parameters is not None:
         from .arm_mechanism import ArmMechanism
+
         if not isinstance(mechanism, ArmMechanism):
-            raise ParameterError(f"parameters '{parameters}' with mechanism '{mechanism.name}'",
-                                 expected="parameters of an arm with an arm only")
+            raise ParameterError(
+                f"parameters '{parameters}' with mechanism '{mechanism.name}'",
+                expected="parameters of an arm with an arm only",
+            )
         mechanism = mechanism.with_arm(load_parameters(parameters))
     if model is not None:
         mechanism = mechanism.of_plant(load_model(model))

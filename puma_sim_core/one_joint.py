@@ -27,28 +27,60 @@ from .parameters import ArmParameters, Link, Motor
 from .plant import MODEL_FORMAT, Plant, effect_mapping, effects_of_mapping, made_of_model
 
 _UNITS = {
-    "pendulum": {"mass": "kg", "length": "m", "lever_inertia": "kg.m^2", "gravity": "m/s^2",
-                 "resistance": "ohm", "inductance": "H", "back_emf": "V.s/rad",
-                 "torque_constant": "N.m/A", "gear_ratio": "1", "motor_inertia": "kg.m^2",
-                 "viscous_friction": "N.m.s/rad", "gain": ("N.m/V", "N.m/A")},
-    "slide": {"mass": "kg", "resistance": "ohm", "inductance": "H", "back_emf": "V.s/rad",
-              "torque_constant": "N.m/A", "gear_ratio": "rad/m", "motor_inertia": "kg",
-              "viscous_friction": "N.s/m", "gain": ("N/V", "N/A")},
+    "pendulum": {
+        "mass": "kg",
+        "length": "m",
+        "lever_inertia": "kg.m^2",
+        "gravity": "m/s^2",
+        "resistance": "ohm",
+        "inductance": "H",
+        "back_emf": "V.s/rad",
+        "torque_constant": "N.m/A",
+        "gear_ratio": "1",
+        "motor_inertia": "kg.m^2",
+        "viscous_friction": "N.m.s/rad",
+        "gain": ("N.m/V", "N.m/A"),
+    },
+    "slide": {
+        "mass": "kg",
+        "resistance": "ohm",
+        "inductance": "H",
+        "back_emf": "V.s/rad",
+        "torque_constant": "N.m/A",
+        "gear_ratio": "rad/m",
+        "motor_inertia": "kg",
+        "viscous_friction": "N.s/m",
+        "gain": ("N/V", "N/A"),
+    },
 }
 _BODY = {"pendulum": ("mass", "length", "lever_inertia", "gravity"), "slide": ("mass",)}
-_DRIVE = {"voltage": ("resistance", "inductance", "back_emf", "torque_constant", "gear_ratio",
-                      "motor_inertia", "viscous_friction"),
-          "current": ("gain", "motor_inertia", "viscous_friction")}
+_DRIVE = {
+    "voltage": (
+        "resistance",
+        "inductance",
+        "back_emf",
+        "torque_constant",
+        "gear_ratio",
+        "motor_inertia",
+        "viscous_friction",
+    ),
+    "current": ("gain", "motor_inertia", "viscous_friction"),
+}
 #: what a file may leave out; without back_emf it is the torque constant, as in any DC motor
-_OPTIONAL = {"lever_inertia": 0.0, "gravity": 9.81, "inductance": 0.0, "gear_ratio": 1.0,
-             "motor_inertia": 0.0, "viscous_friction": 0.0, "back_emf": None}
-_MAY_BE_ZERO = {"lever_inertia", "inductance", "motor_inertia", "viscous_friction", "mass",
-                "gravity"}
+_OPTIONAL = {
+    "lever_inertia": 0.0,
+    "gravity": 9.81,
+    "inductance": 0.0,
+    "gear_ratio": 1.0,
+    "motor_inertia": 0.0,
+    "viscous_friction": 0.0,
+    "back_emf": None,
+}
+_MAY_BE_ZERO = {"lever_inertia", "inductance", "motor_inertia", "viscous_friction", "mass", "gravity"}
 #: L/R that a step of the kernel resolves [s]; a smaller one is negligible beside any motion here
 _LEAST_LAG = 5e-4
 #: units of effects on a slide for those of a turning joint
-_LINEAR = {"N.m": "N", "rad": "m", "rad/s": "m/s", "N.m/rad": "N/m", "N.m.s/rad": "N.s/m",
-           "N.m.s2/rad2": "N.s2/m2"}
+_LINEAR = {"N.m": "N", "rad": "m", "rad/s": "m/s", "N.m/rad": "N/m", "N.m.s/rad": "N.s/m", "N.m.s2/rad2": "N.s2/m2"}
 
 
 @dataclass(frozen=True)
@@ -75,14 +107,18 @@ class OneJoint:
     def __post_init__(self):
         v = self.values
         if not v["mass"] + v["motor_inertia"] + v.get("lever_inertia", 0.0) > 0.0:
-            raise ParameterError("nothing that is inert", where=f"mechanism '{self.name}'",
-                                 expected="mass, motor_inertia or lever_inertia above 0")
+            raise ParameterError(
+                "nothing that is inert",
+                where=f"mechanism '{self.name}'",
+                expected="mass, motor_inertia or lever_inertia above 0",
+            )
         if self.amplifier == "voltage" and 0.0 < v["inductance"] < _LEAST_LAG * v["resistance"]:
             raise ParameterError(
                 f"inductance {v['inductance']:g} H with {v['resistance']:g} ohm: a time constant "
                 f"of {1e3 * v['inductance'] / v['resistance']:.3g} ms",
                 where=f"mechanism '{self.name}'",
-                expected=f"0 where it is negligible, or L/R of {1e3 * _LEAST_LAG:g} ms or more")
+                expected=f"0 where it is negligible, or L/R of {1e3 * _LEAST_LAG:g} ms or more",
+            )
 
     @cached_property
     def values(self) -> dict[str, float]:
@@ -121,8 +157,9 @@ class OneJoint:
         ParameterError : names the key, what is wrong and what was expected.
         """
         reader = Reader(where)
-        reader.keys(mapping, "", ("format", "name", "kind", "range", "torque_scale", "body",
-                                  "drive"), optional=("format",))
+        reader.keys(
+            mapping, "", ("format", "name", "kind", "range", "torque_scale", "body", "drive"), optional=("format",)
+        )
         kind = mapping["kind"]
         if kind not in _UNITS:
             reader.fail("kind", f"{kind!r}"[:80], "pendulum or slide")
@@ -135,17 +172,29 @@ class OneJoint:
             reader.fail("drive.amplifier", f"{found!r}"[:80], "voltage or current")
         amplifier = drive["amplifier"]
         numbers = {key: value for key, value in drive.items() if key != "amplifier"}
-        parameters = [*_numbers(reader, mapping["body"], "body", _BODY[kind], _UNITS[kind]),
-                      *_numbers(reader, numbers, "drive", _DRIVE[amplifier], _UNITS[kind])]
-        sources = {key: str(entry["source"]) for group in (mapping["body"], numbers)
-                   for key, entry in group.items() if "source" in entry}
+        parameters = [
+            *_numbers(reader, mapping["body"], "body", _BODY[kind], _UNITS[kind]),
+            *_numbers(reader, numbers, "drive", _DRIVE[amplifier], _UNITS[kind]),
+        ]
+        sources = {
+            key: str(entry["source"])
+            for group in (mapping["body"], numbers)
+            for key, entry in group.items()
+            if "source" in entry
+        }
         for key in ("range", "torque_scale"):
             if "source" in mapping[key]:
                 sources[key] = mapping[key]["source"]
         try:
-            return cls(reader.text(mapping["name"], "name"), kind, amplifier, (low, high),
-                       reader.number(scale["value"], "torque_scale.value", 1e-9),
-                       tuple(parameters), sources)
+            return cls(
+                reader.text(mapping["name"], "name"),
+                kind,
+                amplifier,
+                (low, high),
+                reader.number(scale["value"], "torque_scale.value", 1e-9),
+                tuple(parameters),
+                sources,
+            )
         except ParameterError as error:
             place = ": ".join(str(part) for part in (where, error.where) if part)
             if where is None or str(error.where or "").startswith(where):
@@ -154,6 +203,7 @@ class OneJoint:
 
     def to_mapping(self) -> dict:
         """The mapping of a mechanism file that loads to an equal value."""
+
         def entry(name, value, unit, p=None):
             result = {"value": value, "unit": unit}
             if p is not None:
@@ -162,22 +212,33 @@ class OneJoint:
                 result["source"] = self.sources[name]
             return result
 
-        groups = {key: {p.name: entry(p.name, p.value, p.unit, p) for p in self.parameters
-                        if p.name in names}
-                  for key, names in (("body", _BODY[self.kind]), ("drive", _DRIVE[self.amplifier]))}
-        return {"format": MECHANISM_FORMAT, "name": self.name, "kind": self.kind,
-                "range": entry("range", list(self.limits), self.position_unit),
-                "torque_scale": entry("torque_scale", self.torque_scale, self.effort_unit),
-                "body": groups["body"],
-                "drive": {"amplifier": self.amplifier, **groups["drive"]}}
+        groups = {
+            key: {p.name: entry(p.name, p.value, p.unit, p) for p in self.parameters if p.name in names}
+            for key, names in (("body", _BODY[self.kind]), ("drive", _DRIVE[self.amplifier]))
+        }
+        return {
+            "format": MECHANISM_FORMAT,
+            "name": self.name,
+            "kind": self.kind,
+            "range": entry("range", list(self.limits), self.position_unit),
+            "torque_scale": entry("torque_scale", self.torque_scale, self.effort_unit),
+            "body": groups["body"],
+            "drive": {"amplifier": self.amplifier, **groups["drive"]},
+        }
 
 
 def completed(values: dict) -> dict:
     """Numbers with those that a file may leave out; real or complex."""
     if "gain" in values:
         # one ampere or volt of command is one ampere here, and gives `gain`
-        values = {**values, "resistance": 1.0, "inductance": 0.0, "back_emf": 0.0,
-                  "torque_constant": values["gain"], "gear_ratio": 1.0}
+        values = {
+            **values,
+            "resistance": 1.0,
+            "inductance": 0.0,
+            "back_emf": 0.0,
+            "torque_constant": values["gain"],
+            "gear_ratio": 1.0,
+        }
     values = {**_OPTIONAL, **values}
     if values["back_emf"] is None:
         values["back_emf"] = values["torque_constant"]
@@ -207,14 +268,16 @@ def _numbers(reader: Reader, group, key: str, names, units) -> list[MechanismPar
             if given is not None and given not in unit:
                 reader.fail(f"{at}.unit", f"unit '{given}'"[:80], " or ".join(unit))
             unit = given or " or ".join(unit)
-        entry = reader.entry(group[name], at, unit,
-                             further=("deviation", "relative_deviation", "known"))
+        entry = reader.entry(group[name], at, unit, further=("deviation", "relative_deviation", "known"))
         low = 0.0 if name in _MAY_BE_ZERO else 1e-12
         value = reader.number(entry["value"], f"{at}.value", low)
         widths = [word for word in ("deviation", "relative_deviation", "known") if word in entry]
         if len(widths) != 1 or ("known" in entry and entry["known"] is not True):
-            reader.fail(at, " and ".join(widths) or "no width of its prior",
-                        "one of deviation, relative_deviation or known: true")
+            reader.fail(
+                at,
+                " and ".join(widths) or "no width of its prior",
+                "one of deviation, relative_deviation or known: true",
+            )
         deviation = 0.0
         if widths[0] != "known":
             deviation = reader.number(entry[widths[0]], f"{at}.{widths[0]}", 1e-12)
@@ -231,20 +294,32 @@ def carrier(body: OneJoint, values: Mapping[str, float]) -> ArmParameters:
     # a slide's mass stands at a radius of 1 m, so that its inertia is the mass
     radius = 1.0 if slide else values["length"]
     heavy = mass if mass > 0.0 else 1.0
-    inertia = mass * radius ** 2 + (0.0 if slide else values["lever_inertia"])
+    inertia = mass * radius**2 + (0.0 if slide else values["lever_inertia"])
     # the held links have inertia too, so that the whole arm's is positive definite
     ballast = inertia + values["motor_inertia"]
-    held = (Link(ballast, (0.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
-            Link(ballast, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
-    link = Link(heavy, (0.0, 0.0, 0.0 if slide else radius * mass / heavy),
-                (0.0, inertia / heavy, 0.0))
-    motor = Motor(values["resistance"], values["inductance"], values["back_emf"],
-                  values["torque_constant"], values["gear_ratio"], values["motor_inertia"])
+    held = (Link(ballast, (0.0, 0.0, 0.0), (0.0, 1.0, 0.0)), Link(ballast, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
+    link = Link(heavy, (0.0, 0.0, 0.0 if slide else radius * mass / heavy), (0.0, inertia / heavy, 0.0))
+    motor = Motor(
+        values["resistance"],
+        values["inductance"],
+        values["back_emf"],
+        values["torque_constant"],
+        values["gear_ratio"],
+        values["motor_inertia"],
+    )
     # with its base upside down the link hangs at q = 0
-    return ArmParameters(body.name, f"mechanism '{body.name}'", (*held, link),
-                         (motor,) * 3, a2=0.0, a3=0.0, d3=0.0, d4=radius,
-                         gravity=0.0 if slide else -values["gravity"],
-                         joint_ranges=(body.limits,) * 3)
+    return ArmParameters(
+        body.name,
+        f"mechanism '{body.name}'",
+        (*held, link),
+        (motor,) * 3,
+        a2=0.0,
+        a3=0.0,
+        d3=0.0,
+        d4=radius,
+        gravity=0.0 if slide else -values["gravity"],
+        joint_ranges=(body.limits,) * 3,
+    )
 
 
 def obstacle(body: OneJoint, name: str) -> tuple[str, str] | None:
@@ -279,17 +354,21 @@ class OneJointPlant(Plant):
             if reason is not None:
                 raise ParameterError(reason[0], where=where, expected=reason[1])
             if effect.joint not in (None, 1):
-                raise ParameterError(f"joint {effect.joint}", where=where,
-                                     expected=f"joint=1: '{self.body.name}' has one joint")
-            if effect.kind is PAYLOAD and (values["x"] != 0.0 or values["y"] != 0.0 or (
-                    self.body.kind == "slide" and values["z"] != 1.0)):
-                raise ParameterError(f"beside the {self.body.kind}", where=where,
-                                     expected="a mass alone, or z along the lever of a pendulum")
+                raise ParameterError(
+                    f"joint {effect.joint}", where=where, expected=f"joint=1: '{self.body.name}' has one joint"
+                )
+            if effect.kind is PAYLOAD and (
+                values["x"] != 0.0 or values["y"] != 0.0 or (self.body.kind == "slide" and values["z"] != 1.0)
+            ):
+                raise ParameterError(
+                    f"beside the {self.body.kind}",
+                    where=where,
+                    expected="a mass alone, or z along the lever of a pendulum",
+                )
         super().__post_init__()
 
     @classmethod
-    def of(cls, body: OneJoint, effects: Iterable[Effect] = (), values: Mapping | None = None
-           ) -> OneJointPlant:
+    def of(cls, body: OneJoint, effects: Iterable[Effect] = (), values: Mapping | None = None) -> OneJointPlant:
         """The plant of a mechanism; `values` replace numbers of it by name.
 
         Raises
@@ -314,20 +393,24 @@ class OneJointPlant(Plant):
     @cached_property
     def viscous_friction(self) -> tuple[float, float, float]:
         own = self.body.values["viscous_friction"]
-        return (0.0, 0.0, own + sum(e.values["coefficient"] for e in self.effects
-                                    if e.kind.name == "viscous_friction"))
+        return (0.0, 0.0, own + sum(e.values["coefficient"] for e in self.effects if e.kind.name == "viscous_friction"))
 
     def to_mapping(self) -> dict:
-        return {"format": MODEL_FORMAT, "version": __version__,
-                "mechanism": self.body.to_mapping(),
-                "effects": [effect_mapping(e, self.body.unit_of) for e in self.effects]}
+        return {
+            "format": MODEL_FORMAT,
+            "version": __version__,
+            "mechanism": self.body.to_mapping(),
+            "effects": [effect_mapping(e, self.body.unit_of) for e in self.effects],
+        }
 
     @classmethod
     def from_mapping(cls, mapping: Mapping, where: str | None = None) -> OneJointPlant:
         """The inverse of `to_mapping`; raises ModelError as `Plant.from_mapping`."""
+
         def make():
-            Reader(None).keys(mapping, "", ("format", "version", "mechanism", "effects"),
-                              optional=("version", "effects"))
+            Reader(None).keys(
+                mapping, "", ("format", "version", "mechanism", "effects"), optional=("version", "effects")
+            )
             body = OneJoint.from_mapping(mapping["mechanism"], "mechanism")
             return cls.of(body, effects_of_mapping(mapping, body.unit_of))
 

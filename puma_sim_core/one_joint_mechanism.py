@@ -25,18 +25,25 @@ class OneJointMechanism(Mechanism):
     @classmethod
     def of(cls, body: OneJoint, effects: Iterable[Effect] = ()) -> OneJointMechanism:
         """The mechanism of a body, and effects that are known to be there."""
-        return cls(name=body.name, joints=1, position_unit=body.position_unit,
-                   effort_unit=body.effort_unit, ranges=(body.limits,),
-                   torque_scale=np.array([body.torque_scale]),
-                   gear=np.array([body.values["gear_ratio"]]),
-                   parameters=tuple(replace(p, positive=p.value > 0.0) for p in body.parameters),
-                   effects=tuple(effects), body=body)
+        return cls(
+            name=body.name,
+            joints=1,
+            position_unit=body.position_unit,
+            effort_unit=body.effort_unit,
+            ranges=(body.limits,),
+            torque_scale=np.array([body.torque_scale]),
+            gear=np.array([body.values["gear_ratio"]]),
+            parameters=tuple(replace(p, positive=p.value > 0.0) for p in body.parameters),
+            effects=tuple(effects),
+            body=body,
+        )
 
     def of_plant(self, plant: Plant) -> OneJointMechanism:
         if not isinstance(plant, OneJointPlant) or plant.body.kind != self.body.kind:
             kind = plant.body.kind if isinstance(plant, OneJointPlant) else "arm"
-            raise ParameterError(f"a model of kind {kind}", where=self.name,
-                                 expected=f"a model of kind {self.body.kind}")
+            raise ParameterError(
+                f"a model of kind {kind}", where=self.name, expected=f"a model of kind {self.body.kind}"
+            )
         return OneJointMechanism.of(plant.body, plant.effects)
 
     def plant(self, theta=None, effects: Iterable[Effect] = ()) -> Plant:
@@ -105,10 +112,10 @@ class OneJointMechanism(Mechanism):
     def drive(self, theta) -> Drive:
         v = self._all(theta)
         return Drive(
-            volts_per_torque=np.array([v["resistance"]
-                                       / (v["gear_ratio"] * v["torque_constant"])]),
+            volts_per_torque=np.array([v["resistance"] / (v["gear_ratio"] * v["torque_constant"])]),
             lag=np.array([v["inductance"] / v["resistance"]]),
             emf=np.array([v["back_emf"] * v["gear_ratio"]]),
             viscous=np.array([v["viscous_friction"]]),
             motor_inertia=np.array([v["motor_inertia"]]),
-            resistance=np.array([v["resistance"]]))
+            resistance=np.array([v["resistance"]]),
+        )

@@ -24,10 +24,9 @@ def enabled(enable, rows: int, joints: int) -> np.ndarray:
     if values.shape == (rows,):
         values = np.repeat(values[:, None], joints, axis=1)
     if values.shape != (rows, joints) or not np.isfinite(values).all():
-        raise ParameterError(f"enable of shape {values.shape}",
-                             expected=f"({rows},) or ({rows}, {joints}), finite")
+        raise ParameterError(f"enable of shape {values.shape}", expected=f"({rows},) or ({rows}, {joints}), finite")
     on = np.ones((rows, 3), dtype=bool)
-    on[:, 3 - joints:] = values != 0.0
+    on[:, 3 - joints :] = values != 0.0
     return on
 
 

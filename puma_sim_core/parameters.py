@@ -26,14 +26,19 @@ from .resources import config_path
 _POSE_STEP = 5.0
 
 _LINK_UNITS = {"mass": "kg", "centre": "m", "gyration_squared": "m^2", "products": "m^2"}
-_MOTOR_UNITS = {"resistance": "ohm", "inductance": "H", "back_emf": "V.s/rad",
-                "torque_constant": "N.m/A", "gear_ratio": "1", "inertia": "kg.m^2"}
+_MOTOR_UNITS = {
+    "resistance": "ohm",
+    "inductance": "H",
+    "back_emf": "V.s/rad",
+    "torque_constant": "N.m/A",
+    "gear_ratio": "1",
+    "inertia": "kg.m^2",
+}
 _GEOMETRY_UNITS = {"a2": "m", "a3": "m", "d3": "m", "d4": "m"}
 _VECTORS = {"centre", "gyration_squared", "products"}
 _POSITIVE = {"mass", "resistance", "inductance", "back_emf", "torque_constant", "gear_ratio"}
 _NOT_NEGATIVE = {"gyration_squared", "inertia"}
-_TOP_KEYS = ("name", "source", "geometry", "gravity", "links", "motors", "joint_ranges",
-             "suggested_effects")
+_TOP_KEYS = ("name", "source", "geometry", "gravity", "links", "motors", "joint_ranges", "suggested_effects")
 
 
 @dataclass(frozen=True)
@@ -59,11 +64,14 @@ class Link:
         kxx, kyy, kzz = self.gyration_squared
         pxy, pyz, pxz = self.products
         x, y, z = self.centre
-        return self.mass * np.array([
-            [(kyy + kzz - kxx) / 2, pxy, pxz, x],
-            [pxy, (kzz + kxx - kyy) / 2, pyz, y],
-            [pxz, pyz, (kxx + kyy - kzz) / 2, z],
-            [x, y, z, 1.0]])
+        return self.mass * np.array(
+            [
+                [(kyy + kzz - kxx) / 2, pxy, pxz, x],
+                [pxy, (kzz + kxx - kyy) / 2, pyz, y],
+                [pxz, pyz, (kxx + kyy - kzz) / 2, z],
+                [x, y, z, 1.0],
+            ]
+        )
 
 
 @dataclass(frozen=True)
@@ -133,8 +141,10 @@ def load_parameters(name_or_path: str | os.PathLike) -> ArmParameters:
     if str(name_or_path) in names:
         path = config_path("parameters", f"{name_or_path}.yaml")
     elif not path.is_file():
-        raise ParameterError(f"no parameter set or file '{name_or_path}'",
-                             expected=f"the path of a YAML file or one of {', '.join(names)}")
+        raise ParameterError(
+            f"no parameter set or file '{name_or_path}'",
+            expected=f"the path of a YAML file or one of {', '.join(names)}",
+        )
     return from_mapping(read_yaml(path), where=str(path))
 
 
@@ -150,6 +160,7 @@ def dump_parameters(parameters: ArmParameters, path: str | os.PathLike) -> None:
 
 def to_mapping(parameters: ArmParameters) -> dict:
     """Mapping of plain YAML types from which :func:`from_mapping` makes an equal value."""
+
     def quantity(key, value, unit):
         entry = {"value": _plain(value), "unit": unit}
         known = parameters.sources.get(key)
@@ -158,8 +169,7 @@ def to_mapping(parameters: ArmParameters) -> dict:
         return entry
 
     def group(prefix, owner, units):
-        return {key: quantity(f"{prefix}.{key}", getattr(owner, key), unit)
-                for key, unit in units.items()}
+        return {key: quantity(f"{prefix}.{key}", getattr(owner, key), unit) for key, unit in units.items()}
 
     effects = []
     for index, effect in enumerate(parameters.suggested_effects, start=1):
@@ -171,12 +181,17 @@ def to_mapping(parameters: ArmParameters) -> dict:
         "source": parameters.source,
         "geometry": group("geometry", parameters, _GEOMETRY_UNITS),
         "gravity": quantity("gravity", parameters.gravity, "m/s^2"),
-        "links": {f"link{i}": group(f"links.link{i}", link, _LINK_UNITS)
-                  for i, link in enumerate(parameters.links, start=1)},
-        "motors": {f"joint{i}": group(f"motors.joint{i}", motor, _MOTOR_UNITS)
-                   for i, motor in enumerate(parameters.motors, start=1)},
-        "joint_ranges": {f"joint{i}": quantity(f"joint_ranges.joint{i}", pair, "rad")
-                         for i, pair in enumerate(parameters.joint_ranges, start=1)},
+        "links": {
+            f"link{i}": group(f"links.link{i}", link, _LINK_UNITS) for i, link in enumerate(parameters.links, start=1)
+        },
+        "motors": {
+            f"joint{i}": group(f"motors.joint{i}", motor, _MOTOR_UNITS)
+            for i, motor in enumerate(parameters.motors, start=1)
+        },
+        "joint_ranges": {
+            f"joint{i}": quantity(f"joint_ranges.joint{i}", pair, "rad")
+            for i, pair in enumerate(parameters.joint_ranges, start=1)
+        },
     }
     if effects:
         mapping["suggested_effects"] = effects
@@ -201,8 +216,7 @@ def from_mapping(mapping: Mapping, where: str | None = None) -> ArmParameters:
     parameters = ArmParameters(
         name=reader.text(mapping["name"], "name"),
         source=reader.text(mapping["source"], "source"),
-        links=tuple(reader.record(Link, entry, key, _LINK_UNITS, {"products"})
-                    for key, entry in links),
+        links=tuple(reader.record(Link, entry, key, _LINK_UNITS, {"products"}) for key, entry in links),
         motors=tuple(reader.record(Motor, entry, key, _MOTOR_UNITS) for key, entry in motors),
         **reader.quantities(mapping["geometry"], "geometry", _GEOMETRY_UNITS),
         gravity=reader.quantity(mapping["gravity"], "gravity", "m/s^2"),
@@ -225,6 +239,7 @@ def check_parameters(parameters: ArmParameters, where: str | None = None) -> Non
     ------
     ParameterError : names the key, or the pose [deg] and the eigenvalue [kg.m^2].
     """
+
     def at(key):
         return key if where is None else f"{where}: {key}"
 
@@ -234,17 +249,19 @@ def check_parameters(parameters: ArmParameters, where: str | None = None) -> Non
         _check_number(getattr(parameters, key), at(f"geometry.{key}"), 0)
     _check_number(parameters.gravity, at("gravity"), 0)
     if parameters.gravity < 0:
-        raise ParameterError(f"{parameters.gravity}", where=at("gravity"),
-                             expected="0 or more m/s^2: gravity points down the base axis")
+        raise ParameterError(
+            f"{parameters.gravity}", where=at("gravity"), expected="0 or more m/s^2: gravity points down the base axis"
+        )
     if len(parameters.joint_ranges) != 3:
-        raise ParameterError(f"{len(parameters.joint_ranges)} entries", where=at("joint_ranges"),
-                             expected="3 entries")
+        raise ParameterError(f"{len(parameters.joint_ranges)} entries", where=at("joint_ranges"), expected="3 entries")
     for i, pair in enumerate(parameters.joint_ranges, start=1):
         _check_number(pair, at(f"joint_ranges.joint{i}"), 2)
         if not (pair[0] < pair[1] and pair[1] - pair[0] <= 4 * math.pi):
-            raise ParameterError(f"from {pair[0]} to {pair[1]} rad",
-                                 where=at(f"joint_ranges.joint{i}"),
-                                 expected="the lower end first, at most two turns in all")
+            raise ParameterError(
+                f"from {pair[0]} to {pair[1]} rad",
+                where=at(f"joint_ranges.joint{i}"),
+                expected="the lower end first, at most two turns in all",
+            )
     lowest, q2, q3 = smallest_eigenvalue(parameters)
     # not "<= 0": numbers so great that the inertia overflows give NaN
     if not lowest > 0:
@@ -252,7 +269,8 @@ def check_parameters(parameters: ArmParameters, where: str | None = None) -> Non
             f"D + Ia is not positive definite: its smallest eigenvalue is {lowest:.4g} kg.m^2 "
             f"at q2 = {math.degrees(q2):.1f} deg, q3 = {math.degrees(q3):.1f} deg",
             where=where or f"parameters '{parameters.name}'",
-            expected="eigenvalues above 0 over the joint ranges")
+            expected="eigenvalues above 0 over the joint ranges",
+        )
 
 
 def smallest_eigenvalue(parameters: ArmParameters) -> tuple[float, float, float]:
@@ -269,8 +287,9 @@ def smallest_eigenvalue(parameters: ArmParameters) -> tuple[float, float, float]
     count = np.ceil((high - low) / math.radians(_POSE_STEP)).astype(int) + 1
     first, last = low, high
     for _ in range(4):
-        second, third = np.meshgrid(np.linspace(first[0], last[0], count[0]),
-                                    np.linspace(first[1], last[1], count[1]), indexing="ij")
+        second, third = np.meshgrid(
+            np.linspace(first[0], last[0], count[0]), np.linspace(first[1], last[1], count[1]), indexing="ij"
+        )
         poses = np.stack([np.zeros_like(second), second, third], axis=-1)
         with np.errstate(over="ignore", invalid="ignore"):
             matrices = inertia(poses, parameters) + added
@@ -300,11 +319,9 @@ def _check_group(group, units, at, name):
             _check_number(value, where, 3 if key in _VECTORS else 0)
             lowest = min(value) if key in _VECTORS else value
             if key in _POSITIVE and lowest <= 0:
-                raise ParameterError(f"{lowest}", where=where,
-                                     expected=f"a number above 0 {unit}")
+                raise ParameterError(f"{lowest}", where=where, expected=f"a number above 0 {unit}")
             if key in _NOT_NEGATIVE and lowest < 0:
-                raise ParameterError(f"{lowest}", where=where,
-                                     expected=f"no number below 0 {unit}")
+                raise ParameterError(f"{lowest}", where=where, expected=f"no number below 0 {unit}")
 
 
 def _check_number(value, where: str, length: int) -> None:
@@ -341,12 +358,10 @@ class _Reader:
             self.fail(key, f"{mapping!r}"[:80], f"a mapping with the keys {', '.join(names)}")
         for name in mapping:
             if name not in names:
-                self.fail(f"{key}.{name}" if key else str(name), "unknown key",
-                          f"one of {', '.join(names)}")
+                self.fail(f"{key}.{name}" if key else str(name), "unknown key", f"one of {', '.join(names)}")
         for name in names:
             if name not in mapping and name not in optional:
-                self.fail(f"{key}.{name}" if key else name, "missing",
-                          "this key" if not key else f"this key in {key}")
+                self.fail(f"{key}.{name}" if key else name, "missing", "this key" if not key else f"this key in {key}")
 
     def text(self, value, key):
         if not isinstance(value, str):
@@ -363,16 +378,17 @@ class _Reader:
 
     def quantities(self, mapping, key, units, optional=frozenset()):
         self.keys(mapping, key, tuple(units), optional)
-        return {name: self.quantity(mapping[name], f"{key}.{name}", unit,
-                                    3 if name in _VECTORS else 0)
-                for name, unit in units.items() if name in mapping}
+        return {
+            name: self.quantity(mapping[name], f"{key}.{name}", unit, 3 if name in _VECTORS else 0)
+            for name, unit in units.items()
+            if name in mapping
+        }
 
     def quantity(self, entry, key, units, length=0):
         units = (units,) if isinstance(units, str) else units
         wanted = " or ".join(units)
         if not isinstance(entry, Mapping):
-            self.fail(key, f"{entry!r} without a unit",
-                      f"{{value: ..., unit: {wanted}, source: ...}}")
+            self.fail(key, f"{entry!r} without a unit", f"{{value: ..., unit: {wanted}, source: ...}}")
         self.keys(entry, key, ("value", "unit", "source"), optional=("source",))
         unit = str(entry["unit"])
         if unit not in units:

@@ -63,8 +63,7 @@ class Plant:
 
     def __post_init__(self):
         if self.torque_form not in TORQUE_FORMS:
-            raise ParameterError(f"torque_form '{self.torque_form}'",
-                                 expected=" or ".join(TORQUE_FORMS))
+            raise ParameterError(f"torque_form '{self.torque_form}'", expected=" or ".join(TORQUE_FORMS))
         effects = tuple(effect.on(self.arm) for effect in self.effects)
         check_distinct(effects)
         object.__setattr__(self, "effects", effects)
@@ -91,8 +90,7 @@ class Plant:
         return replace(self, effects=self.effects + tuple(effects))
 
     @classmethod
-    def of(cls, name_or_path: str = "bejczy", effects: Iterable[Effect] = (),
-           torque_form: str = "physical") -> Plant:
+    def of(cls, name_or_path: str = "bejczy", effects: Iterable[Effect] = (), torque_form: str = "physical") -> Plant:
         """Plant from a published set or a parameter file; raises ParameterError."""
         return cls(load_parameters(name_or_path), tuple(effects), torque_form)
 
@@ -108,8 +106,9 @@ class Plant:
     @cached_property
     def torque_per_ampere(self) -> tuple[float, float, float]:
         """Torque at the joints per motor current, kT [N.m/A]; equation 5.2."""
-        return tuple(m.torque_constant * (m.gear_ratio if self.torque_form == "physical" else 1.0)
-                     for m in self.arm.motors)
+        return tuple(
+            m.torque_constant * (m.gear_ratio if self.torque_form == "physical" else 1.0) for m in self.arm.motors
+        )
 
     @cached_property
     def viscous_friction(self) -> tuple[float, float, float]:
@@ -122,9 +121,13 @@ class Plant:
         """The kernel's arguments for this plant."""
         drive = []
         for motor, kT, H in zip(self.arm.motors, self.torque_per_ampere, self.viscous_friction):
-            drive += [1.0 / motor.inductance if motor.inductance else 0.0,
-                      float(motor.resistance),
-                      float(motor.back_emf * motor.gear_ratio), float(kT), H]
+            drive += [
+                1.0 / motor.inductance if motor.inductance else 0.0,
+                float(motor.resistance),
+                float(motor.back_emf * motor.gear_ratio),
+                float(kT),
+                H,
+            ]
         effects = tuple(e for e in self.kernel_effects if not vanishes(e))
         active, arm, table = active_stages(effects), self.loaded_arm, pack(effects)
         if active & TWO_MASS:
@@ -140,9 +143,13 @@ class Plant:
 
     def to_mapping(self) -> dict:
         """Plain values of a model file; every digit is kept."""
-        return {"format": MODEL_FORMAT, "version": __version__, "torque_form": self.torque_form,
-                "parameters": to_mapping(self.arm),
-                "effects": [effect_mapping(effect) for effect in self.effects]}
+        return {
+            "format": MODEL_FORMAT,
+            "version": __version__,
+            "torque_form": self.torque_form,
+            "parameters": to_mapping(self.arm),
+            "effects": [effect_mapping(effect) for effect in self.effects],
+        }
 
     @classmethod
     def from_mapping(cls, mapping: Mapping, where: str | None = None) -> Plant:
@@ -154,11 +161,13 @@ class Plant:
         ParameterError : a number that is not usable.
         """
         if not isinstance(mapping, Mapping) or "format" not in mapping:
-            raise ModelError("no model", where=where,
-                             expected=f"a mapping with format: {MODEL_FORMAT}")
+            raise ModelError("no model", where=where, expected=f"a mapping with format: {MODEL_FORMAT}")
         if mapping["format"] != MODEL_FORMAT:
-            raise ModelError(f"format '{mapping['format']}'", where=where,
-                             expected=f"'{MODEL_FORMAT}', which version {__version__} reads")
+            raise ModelError(
+                f"format '{mapping['format']}'",
+                where=where,
+                expected=f"'{MODEL_FORMAT}', which version {__version__} reads",
+            )
         if "mechanism" in mapping:
             from .one_joint import OneJointPlant
 
@@ -166,16 +175,18 @@ class Plant:
         known = ("format", "version", "torque_form", "parameters", "effects")
         for key in mapping:
             if key not in known:
-                raise ModelError(f"unknown key '{key}'", where=where,
-                                 expected=f"one of {', '.join(known)}")
+                raise ModelError(f"unknown key '{key}'", where=where, expected=f"one of {', '.join(known)}")
         if "parameters" not in mapping:
-            raise ModelError("'parameters' is missing", where=where,
-                             expected="the name of a set, or its numbers")
+            raise ModelError("'parameters' is missing", where=where, expected="the name of a set, or its numbers")
         source = mapping["parameters"]
-        arm = (load_parameters(source) if isinstance(source, str)
-               else from_mapping(source, where and f"{where}: parameters"))
-        return made_of_model(lambda: cls(arm, effects_of_mapping(mapping),
-                                         mapping.get("torque_form", "physical")), where)
+        arm = (
+            load_parameters(source)
+            if isinstance(source, str)
+            else from_mapping(source, where and f"{where}: parameters")
+        )
+        return made_of_model(
+            lambda: cls(arm, effects_of_mapping(mapping), mapping.get("torque_form", "physical")), where
+        )
 
 
 def made_of_model(make: Callable[[], Plant], where: str | None) -> Plant:
@@ -183,12 +194,12 @@ def made_of_model(make: Callable[[], Plant], where: str | None) -> Plant:
     try:
         return make()
     except ParameterError as error:
-        raise ModelError(error.what, where=" ".join(filter(None, (where, error.where))),
-                         expected=error.expected) from None
+        raise ModelError(
+            error.what, where=" ".join(filter(None, (where, error.where))), expected=error.expected
+        ) from None
 
 
-def effects_of_mapping(mapping: Mapping, unit_of: Callable[[str], str] = str
-                       ) -> tuple[Effect, ...]:
+def effects_of_mapping(mapping: Mapping, unit_of: Callable[[str], str] = str) -> tuple[Effect, ...]:
     """The effects of a model file; unit_of: the unit there for that of a kind's parameter.
 
     Raises
@@ -205,20 +216,22 @@ def effect_mapping(effect: Effect, unit_of: Callable[[str], str] = str) -> dict:
     """The entry of an effect in a model file; unit_of as in `effects_of_mapping`."""
     units = {p.name: unit_of(p.unit) for p in effect.kind.parameters}
     joint = {} if effect.joint is None else {"joint": effect.joint}
-    return {"name": effect.kind.name, **joint,
-            **{name: {"value": value, "unit": units[name]}
-               for name, value in effect.values.items()}}
+    return {
+        "name": effect.kind.name,
+        **joint,
+        **{name: {"value": value, "unit": units[name]} for name, value in effect.values.items()},
+    }
 
 
 def _effect_of(entry, unit_of) -> Effect:
     """The effect of one entry of a model file."""
     if not isinstance(entry, Mapping) or "name" not in entry:
-        raise ParameterError(f"{entry!r}", where="effects",
-                             expected="{name: ..., joint: ..., PARAMETER: {value, unit}}")
+        raise ParameterError(
+            f"{entry!r}", where="effects", expected="{name: ..., joint: ..., PARAMETER: {value, unit}}"
+        )
     name = entry["name"]
     if not isinstance(name, str) or name not in KINDS:
-        raise ParameterError(f"unknown effect '{name}'", where="effects",
-                             expected=f"one of {', '.join(KINDS)}")
+        raise ParameterError(f"unknown effect '{name}'", where="effects", expected=f"one of {', '.join(KINDS)}")
     units = {p.name: unit_of(p.unit) for p in KINDS[name].parameters}
     values = {}
     for key, value in entry.items():
@@ -226,8 +239,11 @@ def _effect_of(entry, unit_of) -> Effect:
             continue
         if isinstance(value, Mapping):
             if set(value) != {"value", "unit"} or value["unit"] != units.get(key, value["unit"]):
-                raise ParameterError(f"{key}: {dict(value)!r}", where=f"effect {name}",
-                                     expected=f"{{value: ..., unit: {units.get(key)}}}")
+                raise ParameterError(
+                    f"{key}: {dict(value)!r}",
+                    where=f"effect {name}",
+                    expected=f"{{value: ..., unit: {units.get(key)}}}",
+                )
             value = value["value"]
         values[key] = value
     return Effect(KINDS[name], entry.get("joint"), values)

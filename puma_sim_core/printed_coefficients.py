@@ -53,16 +53,20 @@ def _as_printed(**terms):
 
 
 _D13 = _as_printed(S23=-0.007, C23=-0.1596)
-_COMMON = (Term("1", 0.0203, 0.0203), Term("C3S3", 0.5322, 0.5322),
-           Term("S2S3S23", -1.0643, -1.0643))
+_COMMON = (Term("1", 0.0203, 0.0203), Term("C3S3", 0.5322, 0.5322), Term("S2S3S23", -1.0643, -1.0643))
 
 COEFFICIENTS = {
     # C2 without its square; -2 m2 a2 y2 C2 S2 left out, as in equation 4.9
-    "D11": (Term("1", 0.7766 + 1.7209, 0.7766 + 1.7209),
-            Term("C2", 2.1007, 0.0), Term("C2^2", 0.0, 2.1007),
-            Term("C2S2", 0.0, -0.0966),
-            Term("S23^2", 0.5323, 0.5323), Term("C2C23", -0.0330, -0.0330),
-            Term("C23S23", -0.0405, -0.0405), Term("C2S23", 0.9161, 0.9161)),
+    "D11": (
+        Term("1", 0.7766 + 1.7209, 0.7766 + 1.7209),
+        Term("C2", 2.1007, 0.0),
+        Term("C2^2", 0.0, 2.1007),
+        Term("C2S2", 0.0, -0.0966),
+        Term("S23^2", 0.5323, 0.5323),
+        Term("C2C23", -0.0330, -0.0330),
+        Term("C23S23", -0.0405, -0.0405),
+        Term("C2S23", 0.9161, 0.9161),
+    ),
     # 2 m3 a3 x3 was taken with a3 = +0.0191
     "D22": (Term("1", 2.3616 + 3.0574, 2.3616 + 3.0501), *_as_printed(S3=0.9161, C3=-0.0331)),
     "D33": _as_printed(**{"1": 0.5827 + 0.5468}),
@@ -70,15 +74,26 @@ COEFFICIENTS = {
     "D13": _D13,
     "D23": _as_printed(**{"1": 0.5468, "S3": 0.4581, "C3": -0.0165}),
     # printed under the label C123; C2C23 with a digit too many, C23 without its square
-    "C112": (*_COMMON, Term("C2S2", -1.5685, -1.5685), Term("C2S23", 0.0331, 0.0331),
-             Term("C2C23", 0.04581, 0.4581),
-             Term("S2S23", -0.4581, -0.4581), Term("C22", -0.0483, -0.0483),
-             Term("C23", -0.0405, 0.0), Term("C23^2", 0.0, -0.0405),
-             Term("S3", -0.0166, -0.0166)),
+    "C112": (
+        *_COMMON,
+        Term("C2S2", -1.5685, -1.5685),
+        Term("C2S23", 0.0331, 0.0331),
+        Term("C2C23", 0.04581, 0.4581),
+        Term("S2S23", -0.4581, -0.4581),
+        Term("C22", -0.0483, -0.0483),
+        Term("C23", -0.0405, 0.0),
+        Term("C23^2", 0.0, -0.0405),
+        Term("S3", -0.0166, -0.0166),
+    ),
     # equation 4.20 has no term in S3
-    "C113": (*_COMMON, Term("C2S2", 0.5322, 0.5322), Term("C2S23", 0.0166, 0.0166),
-             Term("C2C23", 0.4581, 0.4581), Term("C23^2", -0.0405, -0.0405),
-             Term("S3", -0.0166, 0.0)),
+    "C113": (
+        *_COMMON,
+        Term("C2S2", 0.5322, 0.5322),
+        Term("C2S23", 0.0166, 0.0166),
+        Term("C2C23", 0.4581, 0.4581),
+        Term("C23^2", -0.0405, -0.0405),
+        Term("S3", -0.0166, 0.0),
+    ),
     # m3 a2 (y3 + d3) is left out, as in equation 4.22
     "C122": (Term("C2", 1.9686, 2.4492), *_as_printed(S23=0.1596, C23=-0.007)),
     "C123": _as_printed(S23=0.1596, C23=-0.007),
@@ -101,11 +116,11 @@ def coefficient(name: str, q, corrected: bool = False):
     """
     q2, q3 = np.asarray(q, dtype=float)[..., 1], np.asarray(q, dtype=float)[..., 2]
     sines = np.sin(q2), np.cos(q2), np.sin(q3), np.cos(q3), np.sin(q2 + q3), np.cos(q2 + q3)
-    return sum((term.corrected if corrected else term.printed) * BASES[term.basis](*sines)
-               for term in COEFFICIENTS[name])
+    return sum(
+        (term.corrected if corrected else term.printed) * BASES[term.basis](*sines) for term in COEFFICIENTS[name]
+    )
 
 
 def misprints() -> list[str]:
     """Names of the coefficients whose print differs from what the parameters give."""
-    return [name for name, terms in COEFFICIENTS.items()
-            if any(term.printed != term.corrected for term in terms)]
+    return [name for name, terms in COEFFICIENTS.items() if any(term.printed != term.corrected for term in terms)]

@@ -61,13 +61,12 @@ class Recording:
                     yield f"{group}{j + 1}", values[:, j]
 
 
-def write_rows(recording: Recording, file: TextIO,
-               report: Callable[[int], None] = lambda rows: None) -> None:
+def write_rows(recording: Recording, file: TextIO, report: Callable[[int], None] = lambda rows: None) -> None:
     """Write a recording to an open text file; `report` is told how many rows were written."""
     names, columns = zip(*recording.columns())
     file.write(",".join(names) + "\n")
     for first in range(0, len(recording), _WRITTEN_AT_ONCE):
-        rows = np.column_stack([c[first:first + _WRITTEN_AT_ONCE] for c in columns]).tolist()
+        rows = np.column_stack([c[first : first + _WRITTEN_AT_ONCE] for c in columns]).tolist()
         file.write("".join(f"{','.join(map(repr, row))}\n" for row in rows))
         report(first + len(rows))
 
@@ -83,8 +82,9 @@ def write_csv(recording: Recording, path: str | os.PathLike) -> None:
         write_rows(recording, file)
 
 
-def read_csv(path: str | os.PathLike, required: Sequence[str] = ("voltage",),
-             optional: Sequence[str] = (), joints: int = 3) -> Recording:
+def read_csv(
+    path: str | os.PathLike, required: Sequence[str] = ("voltage",), optional: Sequence[str] = (), joints: int = 3
+) -> Recording:
     """Read a recording of so many joints with the groups of columns that are asked for.
 
     Lines that begin with '#' are skipped. Columns may stand in any order.
@@ -95,8 +95,9 @@ def read_csv(path: str | os.PathLike, required: Sequence[str] = ("voltage",),
         one, a text in a number, a number that is not finite, a row that is cut off, or times that
         do not increase; names the file, the line and the column.
     """
-    names, table = _table(path, lambda names, line: _check_names(
-        names, path, line, tuple(required), tuple(optional), joints))
+    names, table = _table(
+        path, lambda names, line: _check_names(names, path, line, tuple(required), tuple(optional), joints)
+    )
     groups = {}
     for group in (*required, *optional):
         columns = [f"{group}{j + 1}" for j in range(joints)]
@@ -105,8 +106,9 @@ def read_csv(path: str | os.PathLike, required: Sequence[str] = ("voltage",),
     return Recording(time=table[:, names.index("time")].copy(), **groups)
 
 
-def read_columns(path: str | os.PathLike, layouts: Sequence[tuple[Sequence[str], Sequence[str]]]
-                 ) -> dict[str, np.ndarray]:
+def read_columns(
+    path: str | os.PathLike, layouts: Sequence[tuple[Sequence[str], Sequence[str]]]
+) -> dict[str, np.ndarray]:
     """Read a file that has, beside ``time``, the columns of one of several layouts.
 
     layouts : (names that must be there, names that may be) of each; the first whose required names
@@ -120,26 +122,28 @@ def read_columns(path: str | os.PathLike, layouts: Sequence[tuple[Sequence[str],
     ------
     RecordingError : as `read_csv`.
     """
+
     def check(names, line):
         where = f"{path}, line {line}"
-        fitting = next((layout for layout in layouts
-                        if {"time", *layout[0]} <= set(names)), None)
+        fitting = next((layout for layout in layouts if {"time", *layout[0]} <= set(names)), None)
         if fitting is None:
             raise RecordingError(
-                f"columns {', '.join(names)}", where=where,
-                expected=" or ".join(", ".join(("time", *layout[0])) for layout in layouts))
+                f"columns {', '.join(names)}",
+                where=where,
+                expected=" or ".join(", ".join(("time", *layout[0])) for layout in layouts),
+            )
         for name in names:
             if name not in ("time", *fitting[0], *fitting[1]):
-                raise RecordingError(f"unknown column '{name}'", where=where,
-                                     expected=f"columns among time, "
-                                              f"{', '.join((*fitting[0], *fitting[1]))}")
+                raise RecordingError(
+                    f"unknown column '{name}'",
+                    where=where,
+                    expected=f"columns among time, {', '.join((*fitting[0], *fitting[1]))}",
+                )
             if names.count(name) > 1:
-                raise RecordingError(f"column '{name}' stands twice", where=where,
-                                     expected="each column once")
+                raise RecordingError(f"column '{name}' stands twice", where=where, expected="each column once")
 
     names, table = _table(path, check)
-    return {name: table[:, names.index(name)].copy()
-            for name in ("time", *(name for name in names if name != "time"))}
+    return {name: table[:, names.index(name)].copy() for name in ("time", *(name for name in names if name != "time"))}
 
 
 def _table(path, check: Callable[[list[str], int], None]) -> tuple[list[str], np.ndarray]:
@@ -150,13 +154,11 @@ def _table(path, check: Callable[[list[str], int], None]) -> tuple[list[str], np
         with open(path, encoding="utf-8-sig", newline="") as file:
             text = file.read()
     except OSError as error:
-        raise RecordingError(f"cannot be read ({error.strerror})", where=str(path),
-                             expected="a CSV file") from None
+        raise RecordingError(f"cannot be read ({error.strerror})", where=str(path), expected="a CSV file") from None
     except UnicodeDecodeError:
         raise RecordingError("is not text", where=str(path), expected="a CSV file") from None
     file = io.StringIO(text, newline="")
-    numbered = ((n, line) for n, line in enumerate(file, start=1)
-                if line.strip() and not line.lstrip().startswith("#"))
+    numbered = ((n, line) for n, line in enumerate(file, start=1) if line.strip() and not line.lstrip().startswith("#"))
     first = next(numbered, None)
     if first is None:
         raise RecordingError("is empty", where=str(path), expected="a line of column names")
@@ -181,8 +183,11 @@ def _clean_table(file, names) -> np.ndarray | None:
             table = np.loadtxt(file, delimiter=",", comments=None, ndmin=2, encoding="utf-8")
     except (ValueError, UserWarning):
         return None
-    usable = (table.shape[1] == len(names) and np.isfinite(table).all()
-              and (np.diff(table[:, names.index("time")]) > 0.0).all())
+    usable = (
+        table.shape[1] == len(names)
+        and np.isfinite(table).all()
+        and (np.diff(table[:, names.index("time")]) > 0.0).all()
+    )
     return table if usable else None
 
 
@@ -193,9 +198,11 @@ def _diagnosed_table(numbered, names, path) -> np.ndarray:
     for number, line in numbered:
         row = _row(line, names, path, number)
         if rows and not row[time] > rows[-1][time]:
-            raise RecordingError(f"time {row[time]!r} after {rows[-1][time]!r}",
-                                 where=f"{path}, line {number}, column time",
-                                 expected="times that increase")
+            raise RecordingError(
+                f"time {row[time]!r} after {rows[-1][time]!r}",
+                where=f"{path}, line {number}, column time",
+                expected="times that increase",
+            )
         rows.append(row)
     if not rows:
         raise RecordingError("has no rows", where=str(path), expected="at least one row of numbers")
@@ -209,20 +216,22 @@ def _check_names(names, path, line, required, optional, joints) -> None:
     allowed = wanted + [f"{group}{j}" for group in optional for j in numbers]
     for name in names:
         if name not in allowed:
-            raise RecordingError(f"unknown column '{name}'", where=where,
-                                 expected=f"columns among {', '.join(allowed)}")
+            raise RecordingError(
+                f"unknown column '{name}'", where=where, expected=f"columns among {', '.join(allowed)}"
+            )
         if names.count(name) > 1:
-            raise RecordingError(f"column '{name}' stands twice", where=where,
-                                 expected="each column once")
+            raise RecordingError(f"column '{name}' stands twice", where=where, expected="each column once")
     for name in wanted:
         if name not in names:
-            raise RecordingError(f"column '{name}' is missing", where=where,
-                                 expected=f"the columns {', '.join(wanted)}")
+            raise RecordingError(
+                f"column '{name}' is missing", where=where, expected=f"the columns {', '.join(wanted)}"
+            )
     for group in optional:
         have = [j for j in numbers if f"{group}{j}" in names]
         if have and len(have) < joints:
-            raise RecordingError(f"only {len(have)} of the columns {group}1..{joints}",
-                                 where=where, expected="all three or none")
+            raise RecordingError(
+                f"only {len(have)} of the columns {group}1..{joints}", where=where, expected="all three or none"
+            )
 
 
 def _row(line, names, path, number) -> list[float]:

@@ -59,9 +59,11 @@ def session_of(path: str | os.PathLike, config_text: str) -> tuple[SessionConfig
         return SessionConfig.from_mapping(mapping, where), mapping
     except (ModelError, ParameterError) as error:
         version = mapping.get("version", "?") if isinstance(mapping, dict) else "?"
-        raise BagError(f"the model cannot be rebuilt: {error.what}",
-                       where=f"{error.where or where} (recorded by version {version})",
-                       expected=error.expected) from None
+        raise BagError(
+            f"the model cannot be rebuilt: {error.what}",
+            where=f"{error.where or where} (recorded by version {version})",
+            expected=error.expected,
+        ) from None
 
 
 def replay(path: str | os.PathLike) -> Replay:
@@ -88,8 +90,11 @@ def replay(path: str | os.PathLike) -> Replay:
                 else:
                     session.command_joints(names, values)
             except CommandError as error:
-                raise BagError(f"its session refuses a command: {error.what}",
-                               where=f"{path}: step {step}", expected=error.expected) from None
+                raise BagError(
+                    f"its session refuses a command: {error.what}",
+                    where=f"{path}: step {step}",
+                    expected=error.expected,
+                ) from None
             given += 1
         try:
             states.append(session.step())
@@ -97,10 +102,14 @@ def replay(path: str | os.PathLike) -> Replay:
             problem = str(error)
             break
     difference, greatest = _compare(bag, states)
-    return Replay(steps=len(bag.steps) - 1, commands=given,
-                  first_difference=difference or problem, greatest_difference=greatest,
-                  recorded_version=str(mapping.get("version", "?")),
-                  recorded_kernel=str(mapping.get("kernel", "?")))
+    return Replay(
+        steps=len(bag.steps) - 1,
+        commands=given,
+        first_difference=difference or problem,
+        greatest_difference=greatest,
+        recorded_version=str(mapping.get("version", "?")),
+        recorded_kernel=str(mapping.get("kernel", "?")),
+    )
 
 
 def _compare(bag, states) -> tuple[str | None, float]:
@@ -111,13 +120,16 @@ def _compare(bag, states) -> tuple[str | None, float]:
         ours = np.array([getattr(state, name) for state in states])
         theirs = getattr(bag, name)[:n]
         # compared as integers: -0.0 differs from 0.0
-        differs = (ours.view(np.int64) != np.ascontiguousarray(theirs).view(np.int64))
+        differs = ours.view(np.int64) != np.ascontiguousarray(theirs).view(np.int64)
         rows = np.flatnonzero(differs.any(axis=1))
         if rows.size and (first is None or rows[0] < first[0]):
             r = int(rows[0])
             j = int(np.flatnonzero(differs[r])[0])
-            first = (r, f"step {r} ({bag.time_ns[r] * 1e-9:.3f} s): {name} of joint {j + 1} was "
-                        f"{float(theirs[r, j])!r} and is {float(ours[r, j])!r} {_UNITS[name]}")
+            first = (
+                r,
+                f"step {r} ({bag.time_ns[r] * 1e-9:.3f} s): {name} of joint {j + 1} was "
+                f"{float(theirs[r, j])!r} and is {float(ours[r, j])!r} {_UNITS[name]}",
+            )
     greatest = float(np.abs(np.array([s.position for s in states]) - bag.position[:n]).max())
     if first is None:
         return None, greatest

@@ -62,8 +62,7 @@ def window_starts(time: np.ndarray, interval: float) -> np.ndarray:
     ParameterError : an interval that is not a positive number.
     """
     if not 0.0 < interval < float("inf"):
-        raise ParameterError(f"{interval!r} s", where="time between restarts",
-                             expected="a positive number")
+        raise ParameterError(f"{interval!r} s", where="time between restarts", expected="a positive number")
     if len(time) < 2:
         return np.zeros(1, dtype=int)
     sample = float(np.median(np.diff(time)))
@@ -82,7 +81,7 @@ def local_motion(time: np.ndarray, position: np.ndarray, row: int) -> tuple[np.n
     are on one side only, and less where they are too few. time (n,) [s] may be uneven, n >= 2;
     position (n, J) [rad].
     """
-    gaps = np.diff(time[max(0, row - 1):row + 2])
+    gaps = np.diff(time[max(0, row - 1) : row + 2])
     reach = max(HALF_STRETCH, 2.5 * float(gaps.min()))
     first = np.searchsorted(time, time[row] - reach, side="left")
     last = np.searchsorted(time, time[row] + reach, side="right")
@@ -90,12 +89,13 @@ def local_motion(time: np.ndarray, position: np.ndarray, row: int) -> tuple[np.n
     x = (time[first:last] - time[row]) / reach
     powers = x[:, None] ** np.arange(degree + 1)
     c = np.linalg.lstsq(powers, position[first:last] - position[row], rcond=None)[0]
-    acceleration = 2.0 * c[2] / reach ** 2 if degree >= 2 else np.zeros(position.shape[1])
+    acceleration = 2.0 * c[2] / reach**2 if degree >= 2 else np.zeros(position.shape[1])
     return c[1] / reach, acceleration
 
 
-def driven_current(plant: Plant, time: np.ndarray, voltage: np.ndarray, row: int,
-                   velocity: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
+def driven_current(
+    plant: Plant, time: np.ndarray, voltage: np.ndarray, row: int, velocity: np.ndarray, acceleration: np.ndarray
+) -> np.ndarray:
     """Current (J) [A] at a row, from the voltages before it and the motion at it (equation 5.1).
 
     L di/dt + R i = V - ke N qd makes i the quasi-static (V - ke N qd) / R, averaged over the
@@ -120,7 +120,7 @@ def driven_current(plant: Plant, time: np.ndarray, voltage: np.ndarray, row: int
     if any(effect.kind.acts == VOLTAGE for effect in plant.effects):
         rows = np.pad(held, ((0, 0), (hidden, 0))).tolist()
         held = np.array([terminal_voltages(*v, table)[hidden:] for v in rows])
-    edges = asked - time[first:after + 1]
+    edges = asked - time[first : after + 1]
     edges[-1] = 0.0
     current = np.empty(len(motors))
     for j, motor in enumerate(motors):
@@ -163,9 +163,14 @@ def true_start(plant: Plant, position, velocity, acceleration) -> tuple[np.ndarr
     return position[hidden:], velocity[hidden:]
 
 
-def run_windows(simulator: Simulator, log: Recording, interval: float, *,
-                acceleration: bool = False, report: Callable[[int], None] = lambda rows: None
-                ) -> tuple[Recording, OpenLoopErrors]:
+def run_windows(
+    simulator: Simulator,
+    log: Recording,
+    interval: float,
+    *,
+    acceleration: bool = False,
+    report: Callable[[int], None] = lambda rows: None,
+) -> tuple[Recording, OpenLoopErrors]:
     """Run a log's voltages in windows of `interval` [s], each from the measured state.
 
     Parameters
@@ -187,8 +192,11 @@ def run_windows(simulator: Simulator, log: Recording, interval: float, *,
     NonFiniteStateError : the state stopped being finite; ``step`` is the row of the log.
     """
     if log.voltage is None or log.position is None or len(log) < 2:
-        raise RecordingError(f"{len(log)} row{'s' * (len(log) != 1)} with {_present(log)}",
-                             where="log", expected="two rows or more with voltage and position")
+        raise RecordingError(
+            f"{len(log)} row{'s' * (len(log) != 1)} with {_present(log)}",
+            where="log",
+            expected="two rows or more with voltage and position",
+        )
     starts = window_starts(log.time, interval)
     ends = np.append(starts[1:], len(log) - 1)
     joints = log.position.shape[1]
@@ -206,21 +214,31 @@ def run_windows(simulator: Simulator, log: Recording, interval: float, *,
         state[rows] = np.hstack([run.position, run.velocity, run.current])
         if second is not None:
             second[rows] = run.acceleration
-        error[first + 1:last + 1] = (run.position - log.position[rows])[1:]
+        error[first + 1 : last + 1] = (run.position - log.position[rows])[1:]
         report(last + 1)
-    recording = Recording(time=log.time, voltage=log.voltage, position=state[:, :joints],
-                          velocity=state[:, joints:2 * joints], current=state[:, 2 * joints:],
-                          acceleration=second)
+    recording = Recording(
+        time=log.time,
+        voltage=log.voltage,
+        position=state[:, :joints],
+        velocity=state[:, joints : 2 * joints],
+        current=state[:, 2 * joints :],
+        acceleration=second,
+    )
     row = np.abs(error).argmax(axis=0)
     return recording, OpenLoopErrors(
-        rms=np.sqrt((error[1:] ** 2).mean(axis=0)), worst=np.abs(error).max(axis=0),
-        worst_time=log.time[row], windows=len(starts))
+        rms=np.sqrt((error[1:] ** 2).mean(axis=0)),
+        worst=np.abs(error).max(axis=0),
+        worst_time=log.time[row],
+        windows=len(starts),
+    )
 
 
 def _restart(simulator: Simulator, log: Recording, row: int) -> None:
     position, velocity, current = measured_state(simulator.plant, log, row)
-    own = [c.kind == "hold" or (c.kind == "velocity" and c.value is not None)
-           for c in simulator.constraints[3 - simulator.plant.joints:]]
+    own = [
+        c.kind == "hold" or (c.kind == "velocity" and c.value is not None)
+        for c in simulator.constraints[3 - simulator.plant.joints :]
+    ]
     bristles = simulator.bristles
     simulator.reset(position, np.where(own, 0.0, velocity), current, time=log.time[row])
     simulator.bristles = bristles

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .kinematics import dh_table, first_derivatives, link_transforms, second_derivatives
+from .kinematics import dh_table, first_derivatives, second_derivatives
 from .parameters import ArmParameters
 
 
@@ -77,13 +77,21 @@ def lumped_constants(arm: ArmParameters) -> Lumps:
     xy2, yz2, xz2 = (m2 * value for value in link2.products)
     xy3, yz3, xz3 = (m3 * value for value in link3.products)
 
-    upper = m2 * a2 * a2 + 2 * a2 * x2 + xx2      # of (a2 + x)^2 over link 2
-    fore = m3 * a3 * a3 + 2 * a3 * x3 + xx3       # of (a3 + x)^2 over link 3
-    reach = m3 * a3 + x3                          # of a3 + x over link 3
+    upper = m2 * a2 * a2 + 2 * a2 * x2 + xx2  # of (a2 + x)^2 over link 2
+    fore = m3 * a3 * a3 + 2 * a3 * x3 + xx3  # of (a3 + x)^2 over link 3
+    reach = m3 * a3 + x3  # of a3 + x over link 3
     e0 = fore + zz3
     return Lumps(
-        A0=(arm.links[0].mass * arm.links[0].gyration_squared[1] + ia1
-            + yy2 + zz2 + yy3 + zz3 + m3 * d3 * d3 + 2 * d3 * y3),
+        A0=(
+            arm.links[0].mass * arm.links[0].gyration_squared[1]
+            + ia1
+            + yy2
+            + zz2
+            + yy3
+            + zz3
+            + m3 * d3 * d3
+            + 2 * d3 * y3
+        ),
         A1=upper - yy2 + m3 * a2 * a2,
         A2=-2 * (a2 * y2 + xy2),
         A3=fore - zz3,
@@ -117,8 +125,16 @@ def inertia(q, arm: ArmParameters) -> np.ndarray:
     d13 = k.B1 * su + k.B2 * cu
     h = k.E1 * c3 + k.E2 * s3
     out = np.empty(s2.shape + (3, 3), dtype=s2.dtype)
-    out[..., 0, 0] = (k.A0 - arm.motors[0].inertia + k.A1 * c2 * c2 + k.A2 * s2 * c2
-                      + k.A3 * cu * cu + k.A4 * su * cu + k.A5 * c2 * cu + k.A6 * c2 * su)
+    out[..., 0, 0] = (
+        k.A0
+        - arm.motors[0].inertia
+        + k.A1 * c2 * c2
+        + k.A2 * s2 * c2
+        + k.A3 * cu * cu
+        + k.A4 * su * cu
+        + k.A5 * c2 * cu
+        + k.A6 * c2 * su
+    )
     out[..., 0, 1] = out[..., 1, 0] = k.B3 * s2 + k.B4 * c2 + d13
     out[..., 0, 2] = out[..., 2, 0] = d13
     out[..., 1, 1] = k.E3 - arm.motors[1].inertia + 2 * h
@@ -137,8 +153,8 @@ def coriolis(q, arm: ArmParameters) -> np.ndarray:
     s2, c2, s3, c3, su, cu = _sines(q)
     square2, squareu = c2 * c2 - s2 * s2, cu * cu - su * su
     # halves of the derivatives of D11 to q2 + q3 at fixed q2, and to q2
-    c113 = (-k.A3 * su * cu + k.A4 * squareu / 2 + c2 * (k.A6 * cu - k.A5 * su) / 2)
-    c112 = (c113 - k.A1 * s2 * c2 + k.A2 * square2 / 2 - s2 * (k.A5 * cu + k.A6 * su) / 2)
+    c113 = -k.A3 * su * cu + k.A4 * squareu / 2 + c2 * (k.A6 * cu - k.A5 * su) / 2
+    c112 = c113 - k.A1 * s2 * c2 + k.A2 * square2 / 2 - s2 * (k.A5 * cu + k.A6 * su) / 2
     e = k.B1 * cu - k.B2 * su
     slope = k.E2 * c3 - k.E1 * s3
     out = np.zeros(s2.shape + (3, 3, 3), dtype=s2.dtype)

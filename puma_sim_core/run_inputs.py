@@ -47,9 +47,12 @@ def widened(values, name: str, joints: int) -> tuple[float, float, float]:
 def check_step(step: float, where: str = "step") -> float:
     """The step [s], or a ParameterError where RK4 would not be stable."""
     if not isfinite(step) or not 0.0 < step <= GREATEST_STEP:
-        raise ParameterError(f"{step * 1e3:.6g} ms", where=where,
-                             expected=f"more than 0 and at most {GREATEST_STEP * 1e3:g} ms: RK4 is "
-                                      "unstable above 8.4 ms with L/R = 3 ms")
+        raise ParameterError(
+            f"{step * 1e3:.6g} ms",
+            where=where,
+            expected=f"more than 0 and at most {GREATEST_STEP * 1e3:g} ms: RK4 is "
+            "unstable above 8.4 ms with L/R = 3 ms",
+        )
     return float(step)
 
 
@@ -104,11 +107,11 @@ def table(time, values, name: str, joints: int = 3) -> tuple[np.ndarray, np.ndar
     time = np.ascontiguousarray(time, dtype=float)
     values = np.ascontiguousarray(values, dtype=float)
     if time.ndim != 1 or len(time) < 1 or values.shape != (len(time), joints):
-        raise ParameterError(f"time of shape {time.shape} and {name} of shape {values.shape}",
-                             expected=f"(n,) and (n, {joints})")
+        raise ParameterError(
+            f"time of shape {time.shape} and {name} of shape {values.shape}", expected=f"(n,) and (n, {joints})"
+        )
     if not (np.isfinite(time).all() and np.isfinite(values).all()):
-        raise ParameterError(f"time or {name} has values that are not finite",
-                             expected="finite numbers")
+        raise ParameterError(f"time or {name} has values that are not finite", expected="finite numbers")
     if (np.diff(time) <= 0.0).any():
         raise ParameterError("times that do not increase", expected="increasing times")
     if joints < 3:

@@ -55,8 +55,11 @@ def terminal_voltage(j, v, p):
 @compiled
 def supply_voltages(v1, v2, v3, p):
     """Voltages [V] that the supply can give of the commanded ones: what a drive reports."""
-    return (saturated(p, _SATURATION, v1), saturated(p, WIDTH + _SATURATION, v2),
-            saturated(p, 2 * WIDTH + _SATURATION, v3))
+    return (
+        saturated(p, _SATURATION, v1),
+        saturated(p, WIDTH + _SATURATION, v2),
+        saturated(p, 2 * WIDTH + _SATURATION, v3),
+    )
 
 
 @compiled
@@ -92,8 +95,7 @@ def advance_stages(x, z, m, v, t, h, n, body, drive, active, p, lock):
             # the mask lets the compiler drop the other stages
             y, b = rk4_step(x, b, v, h, body, now, active & _COMMON, p, lock, NO_SLIP)
         else:
-            y, b = cold_step(x, b, v, h, body, now, active, p, lock,
-                             (0.0, 0.0, 0.0, -push[0], -push[1], -push[2]))
+            y, b = cold_step(x, b, v, h, body, now, active, p, lock, (0.0, 0.0, 0.0, -push[0], -push[1], -push[2]))
         if active & SENSED:
             m = measured_after(m, x, y, h, p)
         x = y
@@ -131,8 +133,11 @@ def run_plain(x, z, volts, counts, steps, body, drive, p, out):
     """`run_voltages` for a plant that needs no stage, in a loop that has nothing else in it."""
     store(out, 0, x, z)
     for r in range(len(counts)):
-        v = (terminal_voltage(0, volts[r][0], p), terminal_voltage(1, volts[r][1], p),
-             terminal_voltage(2, volts[r][2], p))
+        v = (
+            terminal_voltage(0, volts[r][0], p),
+            terminal_voltage(1, volts[r][1], p),
+            terminal_voltage(2, volts[r][2], p),
+        )
         b = (z[0], z[1], z[2])
         for _ in range(counts[r]):
             x, b = rk4_step(x, b, v, steps[r], body, drive, 0, p, FREE, NO_SLIP)
@@ -152,8 +157,7 @@ def run_voltages(x, z, m, volts, times, counts, steps, body, drive, active, p, l
     """
     if active == 0:
         return run_plain(x, z, volts, counts, steps, body, drive, p, out)
-    return held_rows(advance, x, z, m, volts, times, counts, steps, body, drive, active, p, lock,
-                     out)
+    return held_rows(advance, x, z, m, volts, times, counts, steps, body, drive, active, p, lock, out)
 
 
 @merged
@@ -163,8 +167,11 @@ def held_rows(advance, x, z, m, volts, times, counts, steps, body, drive, active
     if active & WIDE:
         store_wide(out, 0, z, m)
     for r in range(len(counts)):
-        v = (terminal_voltage(0, volts[r][0], p), terminal_voltage(1, volts[r][1], p),
-             terminal_voltage(2, volts[r][2], p))
+        v = (
+            terminal_voltage(0, volts[r][0], p),
+            terminal_voltage(1, volts[r][1], p),
+            terminal_voltage(2, volts[r][2], p),
+        )
         x, z, m = advance(x, z, m, v, times[r], steps[r], counts[r], body, drive, active, p, lock)
         if not is_finite(x):
             return r + 1
@@ -188,8 +195,9 @@ def arriving(j, u, late):
 
 
 @compiled
-def run_servo(x, z, m, start, setpoints, samples, steps, h, servo, memory, late, body, drive,
-              active, p, lock, out, volts):
+def run_servo(
+    x, z, m, start, setpoints, samples, steps, h, servo, memory, late, body, drive, active, p, lock, out, volts
+):
     """Run under the digital servo from time `start` [s] on.
 
     setpoints (n, 3) [rad], each held for `samples` samples of `steps` steps of h seconds; servo:
@@ -198,13 +206,33 @@ def run_servo(x, z, m, start, setpoints, samples, steps, h, servo, memory, late,
     out (n * samples + 1, ROW or WIDE_ROW) and volts (n * samples, 3), as the servo asks for them,
     a row a sample. Returns the first row of `out` that is not finite, or -1.
     """
-    return servo_rows(advance, x, z, m, start, setpoints, samples, steps, h, servo, memory, late,
-                      body, drive, active, p, lock, out, volts)
+    return servo_rows(
+        advance,
+        x,
+        z,
+        m,
+        start,
+        setpoints,
+        samples,
+        steps,
+        h,
+        servo,
+        memory,
+        late,
+        body,
+        drive,
+        active,
+        p,
+        lock,
+        out,
+        volts,
+    )
 
 
 @merged
-def servo_rows(advance, x, z, m, start, setpoints, samples, steps, h, servo, memory, late, body,
-               drive, active, p, lock, out, volts):
+def servo_rows(
+    advance, x, z, m, start, setpoints, samples, steps, h, servo, memory, late, body, drive, active, p, lock, out, volts
+):
     """`run_servo` with a function like `advance`."""
     store(out, 0, x, z)
     if active & WIDE:
@@ -216,8 +244,8 @@ def servo_rows(advance, x, z, m, start, setpoints, samples, steps, h, servo, mem
             for j in range(3):
                 k = j * MEMORY_WIDTH
                 u, memory[k], memory[k + 1] = servo_sample(
-                    setpoints[r][j], m[j] if active & SENSED else x[j], memory[k], memory[k + 1],
-                    servo, j * SERVO_WIDTH)
+                    setpoints[r][j], m[j] if active & SENSED else x[j], memory[k], memory[k + 1], servo, j * SERVO_WIDTH
+                )
                 volts[row, j] = delayed(j, u, memory, servo)
             u1, u2, u3 = volts[row, 0], volts[row, 1], volts[row, 2]
             o1, o2, o3 = u1, u2, u3
@@ -228,8 +256,7 @@ def servo_rows(advance, x, z, m, start, setpoints, samples, steps, h, servo, mem
                 o3, u3 = arriving(2, u3, late)
                 n, step = int(late[0]), late[1]
             for _ in range(pieces):
-                v = (terminal_voltage(0, o1, p), terminal_voltage(1, o2, p),
-                     terminal_voltage(2, o3, p))
+                v = (terminal_voltage(0, o1, p), terminal_voltage(1, o2, p), terminal_voltage(2, o3, p))
                 x, z, m = advance(x, z, m, v, t, step, n, body, drive, active, p, lock)
                 if active & DELAYED:
                     o1, o2, o3 = u1, u2, u3
@@ -264,10 +291,12 @@ def accelerations(out, volts, times, body, drive, active, p, lock, result):
     volts (n, 3): the voltage that reaches the amplifiers from each row on; times (n,) [s].
     """
     for r in range(len(result)):
-        x = (out[r, 0], out[r, 1], out[r, 2], out[r, 3], out[r, 4], out[r, 5],
-             out[r, 6], out[r, 7], out[r, 8])
-        v = (terminal_voltage(0, volts[r][0], p), terminal_voltage(1, volts[r][1], p),
-             terminal_voltage(2, volts[r][2], p))
+        x = (out[r, 0], out[r, 1], out[r, 2], out[r, 3], out[r, 4], out[r, 5], out[r, 6], out[r, 7], out[r, 8])
+        v = (
+            terminal_voltage(0, volts[r][0], p),
+            terminal_voltage(1, volts[r][1], p),
+            terminal_voltage(2, volts[r][2], p),
+        )
         now, push = drive, STILL
         if active & TIMED:
             now, push = drive_at(times[r], drive, p), push_over(times[r], 0.0, p)
@@ -280,10 +309,28 @@ def accelerations(out, volts, times, body, drive, active, p, lock, result):
             if held[0] + held[1] + held[2] > 0.0:
                 stages = active | LOCKED
         if active & BRISTLE:
-            _, bend = bristle_torques((out[r, 9], out[r, 10], out[r, 11]), 0.0, 0.0, 0.0,
-                                      STILL, p)
-        a = derivative(x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8],
-                       v[0], v[1], v[2], library_trigonometry(x[1], x[2]),
-                       body, now, stages, p, held, slip, bend)
+            _, bend = bristle_torques((out[r, 9], out[r, 10], out[r, 11]), 0.0, 0.0, 0.0, STILL, p)
+        a = derivative(
+            x[0],
+            x[1],
+            x[2],
+            x[3],
+            x[4],
+            x[5],
+            x[6],
+            x[7],
+            x[8],
+            v[0],
+            v[1],
+            v[2],
+            library_trigonometry(x[1], x[2]),
+            body,
+            now,
+            stages,
+            p,
+            held,
+            slip,
+            bend,
+        )
         for j in range(3):
             result[r, j] = a[j]

@@ -15,8 +15,7 @@ import numpy as np
 
 from . import effects as _registry
 from .backend import inlined, interpreted
-from .effects.sensing import (ENCODER_OFFSET, LAG, NONLINEARITY, lagged_position, sensed_position,
-                              sensed_velocity)
+from .effects.sensing import ENCODER_OFFSET, LAG, NONLINEARITY, lagged_position, sensed_position, sensed_velocity
 from .kernel import WIDTH
 
 _LAG = _registry.slot(LAG)
@@ -29,18 +28,25 @@ def measured_joint(j, before, q0, w0, q1, w1, step, p):
     """Measured position [rad] of joint j after a step [s] from (q0, w0) to (q1, w1)."""
     k = j * WIDTH
     return lagged_position(
-        p, k + _LAG, before,
+        p,
+        k + _LAG,
+        before,
         sensed_position(p, k + _OFFSET, k + _CURVE, q0),
         sensed_position(p, k + _OFFSET, k + _CURVE, q1),
-        sensed_velocity(p, k + _CURVE, q0, w0), sensed_velocity(p, k + _CURVE, q1, w1), step)
+        sensed_velocity(p, k + _CURVE, q0, w0),
+        sensed_velocity(p, k + _CURVE, q1, w1),
+        step,
+    )
 
 
 @inlined
 def measured_after(m, x, y, step, p):
     """Measured positions [rad] after a step [s] from state x to state y; m : before it."""
-    return (measured_joint(0, m[0], x[0], x[3], y[0], y[3], step, p),
-            measured_joint(1, m[1], x[1], x[4], y[1], y[4], step, p),
-            measured_joint(2, m[2], x[2], x[5], y[2], y[5], step, p))
+    return (
+        measured_joint(0, m[0], x[0], x[3], y[0], y[3], step, p),
+        measured_joint(1, m[1], x[1], x[4], y[1], y[4], step, p),
+        measured_joint(2, m[2], x[2], x[5], y[2], y[5], step, p),
+    )
 
 
 _settled = interpreted(sensed_position)
@@ -49,12 +55,12 @@ _slope = interpreted(sensed_velocity)
 
 def settled_positions(position: Sequence[float], table: Sequence[float]) -> tuple[float, ...]:
     """Measured positions [rad] of an arm that has rested at `position` [rad]."""
-    return tuple(float(_settled(table, j * WIDTH + _OFFSET, j * WIDTH + _CURVE, float(q)))
-                 for j, q in enumerate(position))
+    return tuple(
+        float(_settled(table, j * WIDTH + _OFFSET, j * WIDTH + _CURVE, float(q))) for j, q in enumerate(position)
+    )
 
 
-def true_motion(measured, velocity, acceleration, table: Sequence[float]
-                ) -> tuple[np.ndarray, np.ndarray]:
+def true_motion(measured, velocity, acceleration, table: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
     """True position (3) [rad] and velocity (3) [rad/s] behind a measured motion.
 
     measured [rad], velocity [rad/s], acceleration [rad/s^2] : (3) of the measured position. The

@@ -79,33 +79,31 @@ class SessionConfig:
 
     def __post_init__(self):
         if self.plant.joints != 3:
-            raise ParameterError(f"a model of {self.plant.joints} joint", where="session",
-                                 expected="a model of an arm of three; `puma-sim simulate` runs "
-                                          "models of one joint")
+            raise ParameterError(
+                f"a model of {self.plant.joints} joint",
+                where="session",
+                expected="a model of an arm of three; `puma-sim simulate` runs models of one joint",
+            )
         if self.command_interface not in COMMAND_INTERFACES:
-            raise ParameterError(f"command_interface '{self.command_interface}'",
-                                 expected=" or ".join(COMMAND_INTERFACES))
-        if isinstance(self.substeps, bool) or not isinstance(self.substeps, int) \
-                or self.substeps < 1:
-            raise ParameterError(f"substeps {self.substeps!r}",
-                                 expected="a whole number of at least 1")
+            raise ParameterError(
+                f"command_interface '{self.command_interface}'", expected=" or ".join(COMMAND_INTERFACES)
+            )
+        if isinstance(self.substeps, bool) or not isinstance(self.substeps, int) or self.substeps < 1:
+            raise ParameterError(f"substeps {self.substeps!r}", expected="a whole number of at least 1")
         if not isfinite(self.period) or not 0.0 < self.period <= 10.0:
             raise ParameterError(f"period {self.period!r} s", expected="more than 0, at most 10 s")
         check_step(self.period / self.substeps, "period / substeps")
         if not (isfinite(self.voltage_limit) and self.voltage_limit > 0.0):
-            raise ParameterError(f"voltage_limit {self.voltage_limit!r} V",
-                                 expected="a positive number")
+            raise ParameterError(f"voltage_limit {self.voltage_limit!r} V", expected="a positive number")
         if not (isfinite(self.command_timeout) and self.command_timeout >= 0.0):
-            raise ParameterError(f"command_timeout {self.command_timeout!r} s",
-                                 expected="0 or more")
+            raise ParameterError(f"command_timeout {self.command_timeout!r} s", expected="0 or more")
         for name in ("period", "voltage_limit", "command_timeout"):
             object.__setattr__(self, name, float(getattr(self, name)))
         for name in ("initial_position", "initial_velocity", "initial_current"):
             object.__setattr__(self, name, three(getattr(self, name), name))
         names = tuple(self.joint_names)
         object.__setattr__(self, "joint_names", names)
-        if len(names) != 3 or len(set(names)) != 3 or not all(
-                isinstance(name, str) and name for name in names):
+        if len(names) != 3 or len(set(names)) != 3 or not all(isinstance(name, str) and name for name in names):
             raise ParameterError(f"joint_names {names!r}", expected="three different names")
         self._settle_controller()
 
@@ -113,8 +111,9 @@ class SessionConfig:
         """Take over the controller's settings, so that a record of them is complete."""
         if self.controller == "pid":
             if self.controller_settings is not None:
-                raise ParameterError("controller_settings of controller 'pid'",
-                                     expected="none: its gains are the servo's")
+                raise ParameterError(
+                    "controller_settings of controller 'pid'", expected="none: its gains are the servo's"
+                )
             return
         settings = self.controller_settings
         settings = load_settings(self.controller) if settings is None else deepcopy(settings)
@@ -122,8 +121,9 @@ class SessionConfig:
         self.make_controller()
         if self.command_interface != "position":
             raise ParameterError(
-                f"controller '{self.controller}'", expected="pid, or command_interface position: "
-                "no controller acts on commands in volts")
+                f"controller '{self.controller}'",
+                expected="pid, or command_interface position: no controller acts on commands in volts",
+            )
 
     def make_controller(self):
         """The controller of the position interface as an object (see `control.controllers`); for
@@ -135,11 +135,22 @@ class SessionConfig:
         """
         h, limit = self.period / self.substeps, self.voltage_limit / self.servo.amplifier_gain
         if self.controller == "pid":
-            return Pid(self.servo.gains, h, limit=limit, anti_windup=self.servo.anti_windup,
-                       on_measurement=self.servo.derivative_on_measurement)
-        return make_controller(self.controller, self.plant, self.controller_settings, h,
-                               self.voltage_limit, setpoint_period=self.period,
-                               amplifier_gain=self.servo.amplifier_gain)
+            return Pid(
+                self.servo.gains,
+                h,
+                limit=limit,
+                anti_windup=self.servo.anti_windup,
+                on_measurement=self.servo.derivative_on_measurement,
+            )
+        return make_controller(
+            self.controller,
+            self.plant,
+            self.controller_settings,
+            h,
+            self.voltage_limit,
+            setpoint_period=self.period,
+            amplifier_gain=self.servo.amplifier_gain,
+        )
 
     @property
     def period_ns(self) -> int:
@@ -153,22 +164,32 @@ class SessionConfig:
 
     def to_mapping(self) -> dict:
         """Plain values from which `from_mapping` makes an equal session; every digit is kept."""
-        return {"format": SESSION_FORMAT, "version": __version__, "kernel": BACKEND,
-                "command_interface": self.command_interface, "period": self.period,
-                "substeps": self.substeps, "voltage_limit": self.voltage_limit,
-                "command_timeout": self.command_timeout,
-                "initial_position": list(self.initial_position),
-                "initial_velocity": list(self.initial_velocity),
-                "initial_current": list(self.initial_current),
-                "servo": self.servo.to_mapping(), **self._controller_mapping(),
-                "joint_names": list(self.joint_names), "frame_id": self.frame_id,
-                "model": self.plant.to_mapping()}
+        return {
+            "format": SESSION_FORMAT,
+            "version": __version__,
+            "kernel": BACKEND,
+            "command_interface": self.command_interface,
+            "period": self.period,
+            "substeps": self.substeps,
+            "voltage_limit": self.voltage_limit,
+            "command_timeout": self.command_timeout,
+            "initial_position": list(self.initial_position),
+            "initial_velocity": list(self.initial_velocity),
+            "initial_current": list(self.initial_current),
+            "servo": self.servo.to_mapping(),
+            **self._controller_mapping(),
+            "joint_names": list(self.joint_names),
+            "frame_id": self.frame_id,
+            "model": self.plant.to_mapping(),
+        }
 
     def _controller_mapping(self) -> dict:
         # without a key for the default, earlier versions read the sessions that they can run
-        return {} if self.controller == "pid" else {
-            "controller": self.controller,
-            "controller_settings": deepcopy(self.controller_settings)}
+        return (
+            {}
+            if self.controller == "pid"
+            else {"controller": self.controller, "controller_settings": deepcopy(self.controller_settings)}
+        )
 
     @classmethod
     def from_mapping(cls, mapping: Mapping, where: str | None = None) -> SessionConfig:
@@ -180,16 +201,20 @@ class SessionConfig:
         """
         if not isinstance(mapping, Mapping) or mapping.get("format") != SESSION_FORMAT:
             found = mapping.get("format") if isinstance(mapping, Mapping) else mapping
-            raise ModelError(f"session format {found!r}", where=where,
-                             expected=f"'{SESSION_FORMAT}', which version {__version__} reads")
+            raise ModelError(
+                f"session format {found!r}",
+                where=where,
+                expected=f"'{SESSION_FORMAT}', which version {__version__} reads",
+            )
         values = {k: v for k, v in mapping.items() if k not in ("format", "version", "kernel")}
         plant = Plant.from_mapping(values.pop("model", None), where)
         try:
             servo = ServoConfig.from_mapping(values.pop("servo", {}))
             return cls(plant=plant, servo=servo, **values)
         except ParameterError as error:
-            raise ModelError(error.what, where=" ".join(filter(None, (where, error.where))) or None,
-                             expected=error.expected) from None
+            raise ModelError(
+                error.what, where=" ".join(filter(None, (where, error.where))) or None, expected=error.expected
+            ) from None
         except TypeError as error:
             raise ModelError(str(error), where=where, expected="the keys of a session") from None
 
@@ -237,10 +262,14 @@ class Session:
         self._period_ns = config.period_ns
         self._timeout = config.timeout_steps
         self._kT = plant.torque_per_ampere
-        self._ranges = (plant.arm.joint_ranges if config.command_interface == "position"
-                        else ((-config.voltage_limit, config.voltage_limit),) * 3)
-        self._servo = native(config.servo.table(self._h, config.voltage_limit,
-                                                [m.gear_ratio for m in plant.arm.motors]))
+        self._ranges = (
+            plant.arm.joint_ranges
+            if config.command_interface == "position"
+            else ((-config.voltage_limit, config.voltage_limit),) * 3
+        )
+        self._servo = native(
+            config.servo.table(self._h, config.voltage_limit, [m.gear_ratio for m in plant.arm.motors])
+        )
         width = WIDE_ROW if active & WIDE else ROW
         self._target_row = np.zeros((1, 3)) if BACKEND == "numba" else [[0.0, 0.0, 0.0]]
         delay = input_delay(active, table)
@@ -249,9 +278,19 @@ class Session:
         self._rows = HeldRows(1 if self._late is None else 2, width)
         self._servo_out = np.empty((config.substeps + 1, width))
         self._servo_volts = np.empty((config.substeps, 3))
-        self._loop = None if config.controller == "pid" else ControlLoop(
-            config.make_controller(), config.servo, self._h, 1, config.voltage_limit,
-            [m.gear_ratio for m in plant.arm.motors], self._kernel)
+        self._loop = (
+            None
+            if config.controller == "pid"
+            else ControlLoop(
+                config.make_controller(),
+                config.servo,
+                self._h,
+                1,
+                config.voltage_limit,
+                [m.gear_ratio for m in plant.arm.motors],
+                self._kernel,
+            )
+        )
         if self._loop is not None:
             self._loop.late = self._late
         self.reset()
@@ -261,11 +300,11 @@ class Session:
         c = self.config
         self._x = (*c.initial_position, *c.initial_velocity, *c.initial_current)
         self._z = (*_NOTHING, *links_at(self._x, 0.0, *self._kernel))
-        self._m = (settled_positions(c.initial_position, self._kernel[3])
-                   if self._kernel[2] & SENSED else c.initial_position)
+        self._m = (
+            settled_positions(c.initial_position, self._kernel[3]) if self._kernel[2] & SENSED else c.initial_position
+        )
         self._target = list(self._m if c.command_interface == "position" else _NOTHING)
-        self._memory = native([*servo_memory(self._m, self._m, self._servo),
-                               *c.servo.held_back()])
+        self._memory = native([*servo_memory(self._m, self._m, self._servo), *c.servo.held_back()])
         if self._late is not None:
             self._late.hold(_NOTHING)
         if self._loop is not None:
@@ -298,8 +337,7 @@ class Session:
         names = tuple(names)
         problem = None
         if self.config.command_interface != "position":
-            problem = ("a command by joint name in a session that takes volts",
-                       "command_interface position")
+            problem = ("a command by joint name in a session that takes volts", "command_interface position")
         elif not names:
             problem = ("no joint names", f"some of {', '.join(known)}")
         else:
@@ -321,8 +359,7 @@ class Session:
             numbers = ()
         if len(numbers) != len(joints) or not all(map(isfinite, numbers)):
             self.counters.rejected += 1
-            raise CommandError(f"{list(values)!r}", where="command",
-                               expected=f"{len(joints)} finite numbers")
+            raise CommandError(f"{list(values)!r}", where="command", expected=f"{len(joints)} finite numbers")
         for j, value in zip(joints, numbers):
             low, high = self._ranges[j]
             clipped = min(max(value, low), high)
@@ -366,8 +403,7 @@ class Session:
             return
         self.command_age_steps += 1
         if self.command_age_steps == self._timeout:
-            self._target = list(self._seen() if self.config.command_interface == "position"
-                                else _NOTHING)
+            self._target = list(self._seen() if self.config.command_interface == "position" else _NOTHING)
 
     def _seen(self):
         """Measured positions [rad]."""
@@ -378,28 +414,57 @@ class Session:
         return self.state.step * self.config.period
 
     def _step_voltage(self):
-        rows = ([self._target], [self.config.substeps], [self._h]) if self._late is None else (
-            self._late.take(self._target), self._late.counts, self._late.steps)
+        rows = (
+            ([self._target], [self.config.substeps], [self._h])
+            if self._late is None
+            else (self._late.take(self._target), self._late.counts, self._late.steps)
+        )
         end = self._rows.run(self._x, self._z, self._m, self._time(), *rows, self._kernel)
         return (1, None, _NOTHING) if end is None else (-1, end, self._target)
 
     def _step_servo(self):
         row = self._target_row[0]
         row[0], row[1], row[2] = self._target
-        bad = run_servo(self._x, self._z, self._m, self._time(), self._target_row,
-                        self.config.substeps, 1, self._h, self._servo, self._memory,
-                        NO_DELAY if self._late is None else self._late.table, *self._kernel,
-                        self._servo_out, self._servo_volts)
+        bad = run_servo(
+            self._x,
+            self._z,
+            self._m,
+            self._time(),
+            self._target_row,
+            self.config.substeps,
+            1,
+            self._h,
+            self._servo,
+            self._memory,
+            NO_DELAY if self._late is None else self._late.table,
+            *self._kernel,
+            self._servo_out,
+            self._servo_volts,
+        )
         return bad, self._servo_out[-1], self._servo_volts[-1].tolist()
 
     def _step_controller(self):
-        bad = self._loop.run(self._x, self._z, self._m, [self._target], self.config.substeps,
-                             self._time(), self._servo_out, self._servo_volts)
+        bad = self._loop.run(
+            self._x,
+            self._z,
+            self._m,
+            [self._target],
+            self.config.substeps,
+            self._time(),
+            self._servo_out,
+            self._servo_volts,
+        )
         return bad, self._servo_out[-1], self._servo_volts[-1].tolist()
 
     def _state(self, step, voltage) -> SessionState:
         _, _, _, w1, w2, w3, i1, i2, i3 = self._x
         k1, k2, k3 = self._kT
-        return SessionState(step, step * self._period_ns, tuple(self._seen()), (w1, w2, w3),
-                            (i1, i2, i3), tuple(supply_voltages(*voltage, self._kernel[3])),
-                            (k1 * i1, k2 * i2, k3 * i3))
+        return SessionState(
+            step,
+            step * self._period_ns,
+            tuple(self._seen()),
+            (w1, w2, w3),
+            (i1, i2, i3),
+            tuple(supply_voltages(*voltage, self._kernel[3])),
+            (k1 * i1, k2 * i2, k3 * i3),
+        )

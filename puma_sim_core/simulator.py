@@ -25,8 +25,7 @@ from .kernel import LOCKED
 from .open_circuit import enabled, opened, stretches
 from .plant import Plant
 from .recording import Recording
-from .run_inputs import (GREATEST_STEP, check_step, guarded, native, rows_of, setpoint_table,
-                         step_counts, table, three, widened)
+from .run_inputs import check_step, guarded, native, rows_of, setpoint_table, step_counts, table, three, widened
 from .runs import ROW, WIDE, WIDE_ROW, servo_memory
 from .sensed import settled_positions
 from .two_mass_runs import accelerations, links_at, run_servo, run_voltages
@@ -67,8 +66,7 @@ class Constraint:
             raise ParameterError("no value", where=where, expected="acceleration:RAD_PER_S2")
         if self.value is not None:
             if isinstance(self.value, (bool, str)) or not isfinite(self.value):
-                raise ParameterError(f"value {self.value}", where=where,
-                                     expected="a finite number")
+                raise ParameterError(f"value {self.value}", where=where, expected="a finite number")
             # a whole number here would be compiled as another kernel
             object.__setattr__(self, "value", float(self.value))
 
@@ -81,8 +79,7 @@ class Constraint:
         except ValueError as error:
             if isinstance(error, ParameterError):
                 raise
-            raise ParameterError(f"value '{value}'", where=f"constraint '{kind}'",
-                                 expected="a number") from None
+            raise ParameterError(f"value '{value}'", where=f"constraint '{kind}'", expected="a number") from None
 
 
 @dataclass(frozen=True)
@@ -101,9 +98,11 @@ class Limits:
 
     def first_exceeded(self, recording: Recording) -> list[str]:
         """One sentence for each joint and quantity that leaves its limits: where and by what."""
-        ranges = {"position": (self.position, self.unit),
-                  "velocity": (_symmetric(self.velocity), f"{self.unit}/s"),
-                  "acceleration": (_symmetric(self.acceleration), f"{self.unit}/s^2")}
+        ranges = {
+            "position": (self.position, self.unit),
+            "velocity": (_symmetric(self.velocity), f"{self.unit}/s"),
+            "acceleration": (_symmetric(self.acceleration), f"{self.unit}/s^2"),
+        }
         found = []
         for name, (pairs, unit) in ranges.items():
             values = getattr(recording, name)
@@ -113,8 +112,10 @@ class Limits:
                 outside = np.flatnonzero((values[:, j] < low) | (values[:, j] > high))
                 if outside.size:
                     r = int(outside[0])
-                    found.append(f"joint {j + 1}: {name} {values[r, j]:.7g} {unit} at "
-                                 f"{recording.time[r]:.6g} s is outside {low:.4g} to {high:.4g}")
+                    found.append(
+                        f"joint {j + 1}: {name} {values[r, j]:.7g} {unit} at "
+                        f"{recording.time[r]:.6g} s is outside {low:.4g} to {high:.4g}"
+                    )
         return found
 
 
@@ -150,12 +151,17 @@ class Simulator:
     ParameterError : a step above 8 ms, constraints of another length.
     """
 
-    def __init__(self, plant: Plant, *, constraints: Sequence[Constraint] | None = None,
-                 max_step: float = SERVO_PERIOD, limits: Limits | None = None,
-                 on_limit: str = "report"):
+    def __init__(
+        self,
+        plant: Plant,
+        *,
+        constraints: Sequence[Constraint] | None = None,
+        max_step: float = SERVO_PERIOD,
+        limits: Limits | None = None,
+        on_limit: str = "report",
+    ):
         constraints = (Constraint(),) * plant.joints if constraints is None else constraints
-        if len(constraints) != plant.joints or not all(isinstance(c, Constraint)
-                                                       for c in constraints):
+        if len(constraints) != plant.joints or not all(isinstance(c, Constraint) for c in constraints):
             raise ParameterError(f"constraints {constraints!r}", expected="one Constraint a joint")
         if on_limit not in ("report", "error"):
             raise ParameterError(f"on_limit '{on_limit}'", expected="report or error")
@@ -169,14 +175,15 @@ class Simulator:
         body, drive, active, table = plant.constants
         if any(c.kind != "free" for c in self.constraints):
             active |= LOCKED
-        lock = (*(0.0 if c.kind == "free" else 1.0 for c in self.constraints),
-                *(c.value if c.kind == "acceleration" else 0.0 for c in self.constraints))
+        lock = (
+            *(0.0 if c.kind == "free" else 1.0 for c in self.constraints),
+            *(c.value if c.kind == "acceleration" else 0.0 for c in self.constraints),
+        )
         self._kernel = (body, drive, active, native(table), lock)
         self._row = WIDE_ROW if active & WIDE else ROW
         self.reset()
 
-    def reset(self, position=(0.0, 0.0, 0.0), velocity=None, current=(0.0, 0.0, 0.0),
-              time: float = 0.0) -> None:
+    def reset(self, position=(0.0, 0.0, 0.0), velocity=None, current=(0.0, 0.0, 0.0), time: float = 0.0) -> None:
         """Start from a state: true position [rad], velocity [rad/s], current [A] of the joints.
 
         The velocity of a joint with a constant velocity of its own is that one. Sensors have
@@ -195,8 +202,10 @@ class Simulator:
             fixed = 0.0 if c.kind == "hold" else c.value if c.kind == "velocity" else None
             if fixed is not None:
                 if given is not None and given[j] not in (0.0, fixed):
-                    raise ParameterError(f"initial velocity {given[j]} rad/s of joint {j + 1}",
-                                         expected=f"{fixed} rad/s, as its constraint says")
+                    raise ParameterError(
+                        f"initial velocity {given[j]} rad/s of joint {j + 1}",
+                        expected=f"{fixed} rad/s, as its constraint says",
+                    )
                 start[j] = fixed
         self.state = (*position, *start, *current)
         self.bristles = (0.0, 0.0, 0.0)
@@ -229,8 +238,7 @@ class Simulator:
         if not isfinite(duration) or duration <= 0.0:
             raise ParameterError(f"duration {duration!r} s", expected="a positive number")
         volts = widened(voltage, "voltage", self.plant.joints)
-        self._advance(np.array([volts]), np.array([self.time, self.time + duration]),
-                      np.array([float(duration)]))
+        self._advance(np.array([volts]), np.array([self.time, self.time + duration]), np.array([float(duration)]))
         self.time += duration
         return self.state
 
@@ -265,9 +273,17 @@ class Simulator:
         self.time = float(time[-1])
         return self._recorded(time, voltage, out, acceleration, past)
 
-    def run_servo(self, setpoint, servo: ServoConfig = ServoConfig(), *, period: float = 0.028,
-                  samples: int = 30, voltage_limit: float = 40.0,
-                  acceleration: bool = False, held_voltage=(0.0, 0.0, 0.0)) -> Recording:
+    def run_servo(
+        self,
+        setpoint,
+        servo: ServoConfig = ServoConfig(),
+        *,
+        period: float = 0.028,
+        samples: int = 30,
+        voltage_limit: float = 40.0,
+        acceleration: bool = False,
+        held_voltage=(0.0, 0.0, 0.0),
+    ) -> Recording:
         """Run under the digital servo from the present state.
 
         setpoint : (n, 3) [rad], each held for one period [s] of `samples` servo samples, which
@@ -289,22 +305,46 @@ class Simulator:
             raise ParameterError(f"samples {samples!r}", expected="a whole number of at least 1")
         h = period / samples
         steps = int(step_counts(np.array([h]), self.max_step)[0])
-        servo_table = native(servo.table(h, voltage_limit,
-                                   [m.gear_ratio for m in self.plant.arm.motors]))
-        memory = native([*servo_memory(tuple(setpoint[0].tolist()), self._seen(), servo_table),
-                         *servo.held_back(held_voltage)])
+        servo_table = native(servo.table(h, voltage_limit, [m.gear_ratio for m in self.plant.arm.motors]))
+        memory = native(
+            [*servo_memory(tuple(setpoint[0].tolist()), self._seen(), servo_table), *servo.held_back(held_voltage)]
+        )
         n = len(setpoint) * samples
         out, volts = np.empty((n + 1, self._row)), np.zeros((n + 1, 3))
         late, past = self._late(h, held_voltage), self.past
-        self._finish(guarded(out, run_servo, self.state, self._beyond(), self.measured, self.time,
-                             rows_of(setpoint), samples, steps, h / steps, servo_table, memory,
-                             NO_DELAY if late is None else late.table, *self._kernel, out, volts),
-                     out)
+        self._finish(
+            guarded(
+                out,
+                run_servo,
+                self.state,
+                self._beyond(),
+                self.measured,
+                self.time,
+                rows_of(setpoint),
+                samples,
+                steps,
+                h / steps,
+                servo_table,
+                memory,
+                NO_DELAY if late is None else late.table,
+                *self._kernel,
+                out,
+                volts,
+            ),
+            out,
+        )
         return self._sampled(setpoint, samples, h, out, volts, acceleration, late, past)
 
-    def run_controller(self, controller: Controller, setpoint, *, period: float = 0.028,
-                       voltage_limit: float = 40.0, chain: ServoConfig = ServoConfig(),
-                       acceleration: bool = False) -> Recording:
+    def run_controller(
+        self,
+        controller: Controller,
+        setpoint,
+        *,
+        period: float = 0.028,
+        voltage_limit: float = 40.0,
+        chain: ServoConfig = ServoConfig(),
+        acceleration: bool = False,
+    ) -> Recording:
         """Run under any controller (see `closed_loop`) from the present state; it is reset first.
 
         setpoint : (n, 3) [rad], each held for one period [s], a whole number of the controller's
@@ -323,20 +363,28 @@ class Simulator:
         setpoint = self._closed(setpoint, period, voltage_limit)
         samples = samples_per_period(controller, period)
         h = period / samples
-        loop = ControlLoop(controller, chain, h, int(step_counts(np.array([h]), self.max_step)[0]),
-                           voltage_limit, [m.gear_ratio for m in self.plant.arm.motors],
-                           self._kernel)
+        loop = ControlLoop(
+            controller,
+            chain,
+            h,
+            int(step_counts(np.array([h]), self.max_step)[0]),
+            voltage_limit,
+            [m.gear_ratio for m in self.plant.arm.motors],
+            self._kernel,
+        )
         loop.late, past = self._late(h, (0.0, 0.0, 0.0)), self.past
         n = len(setpoint) * samples
         out, volts = np.empty((n + 1, self._row)), np.zeros((n + 1, 3))
-        self._finish(loop.run(self.state, self._beyond(), self.measured, setpoint, samples,
-                              self.time, out, volts), out)
+        self._finish(loop.run(self.state, self._beyond(), self.measured, setpoint, samples, self.time, out, volts), out)
         return self._sampled(setpoint, samples, h, out, volts, acceleration, loop.late, past)
 
     def _closed(self, setpoint, period, voltage_limit) -> np.ndarray:
         if self.plant.joints != 3:
-            raise ParameterError(f"a plant of {self.plant.joints} joint", where="closed loop",
-                                 expected="an arm of three: servo and controllers have its gains")
+            raise ParameterError(
+                f"a plant of {self.plant.joints} joint",
+                where="closed loop",
+                expected="an arm of three: servo and controllers have its gains",
+            )
         return setpoint_table(setpoint, period, voltage_limit)
 
     def _beyond(self) -> tuple[float, ...]:
@@ -365,8 +413,7 @@ class Simulator:
         time = self.time + h * np.arange(len(out))
         self.time = float(time[-1])
         held = np.repeat(setpoint, samples, axis=0)
-        return self._recorded(time, volts, out, acceleration, past,
-                              setpoint=np.vstack([held, held[-1:]]))
+        return self._recorded(time, volts, out, acceleration, past, setpoint=np.vstack([held, held[-1:]]))
 
     def _advance(self, voltage: np.ndarray, time: np.ndarray, duration: np.ndarray) -> np.ndarray:
         """Rows of what the kernel stores, one more than there are of voltage; time: their edges."""
@@ -377,10 +424,22 @@ class Simulator:
         counts = step_counts(duration, self.max_step)
         out = np.empty((len(duration) + 1, self._row))
         try:
-            self._finish(guarded(out, run_voltages, self.state, self._beyond(), self.measured,
-                                 rows_of(voltage), rows_of(time[:-1]),
-                                 counts if BACKEND == "numba" else counts.tolist(),
-                                 rows_of(duration / counts), *self._kernel, out), out)
+            self._finish(
+                guarded(
+                    out,
+                    run_voltages,
+                    self.state,
+                    self._beyond(),
+                    self.measured,
+                    rows_of(voltage),
+                    rows_of(time[:-1]),
+                    counts if BACKEND == "numba" else counts.tolist(),
+                    rows_of(duration / counts),
+                    *self._kernel,
+                    out,
+                ),
+                out,
+            )
         except NonFiniteStateError as error:
             if rows is None:
                 raise
@@ -403,7 +462,7 @@ class Simulator:
                 current = np.where(on[first], self.state[6:9], 0.0).tolist()
                 self.state = (*self.state[:6], *current)
                 try:
-                    edges = time[first:after + 1]
+                    edges = time[first : after + 1]
                     out = self._advance(voltage[first:after], edges, np.diff(edges))
                 except NonFiniteStateError as error:
                     raise NonFiniteStateError(first + error.step) from None
@@ -419,8 +478,7 @@ class Simulator:
         last = len(out) - 1 if bad_row < 0 else bad_row - 1
         row = tuple(out[last].tolist())
         self.state, self.bristles = row[:9], row[9:12]
-        self.measured, self.links = (row[12:15], row[15:21]) if len(row) > ROW else (
-            row[:3], row[:6])
+        self.measured, self.links = (row[12:15], row[15:21]) if len(row) > ROW else (row[:3], row[:6])
         if bad_row >= 0:
             raise NonFiniteStateError(bad_row)
 
@@ -433,16 +491,18 @@ class Simulator:
                 pieces, _ = past.arriving(np.append(time, time[-1] + 1.0), voltage)
                 acting = pieces.voltage[pieces.row[:-1]]
             accelerations(out, rows_of(acting), rows_of(time), *self._kernel, result)
-        self.link_motion = out[:, ROW + 3:] if self._kernel[2] & TWO_MASS else None
+        self.link_motion = out[:, ROW + 3 :] if self._kernel[2] & TWO_MASS else None
         hidden, seen = 3 - self.plant.joints, ROW if self._kernel[2] & SENSED else 0
-        recording = Recording(time=time, voltage=voltage[:, hidden:],
-                              position=out[:, seen + hidden:seen + 3],
-                              velocity=out[:, 3 + hidden:6], current=out[:, 6 + hidden:9],
-                              setpoint=setpoint,
-                              acceleration=None if result is None else result[:, hidden:])
+        recording = Recording(
+            time=time,
+            voltage=voltage[:, hidden:],
+            position=out[:, seen + hidden : seen + 3],
+            velocity=out[:, 3 + hidden : 6],
+            current=out[:, 6 + hidden : 9],
+            setpoint=setpoint,
+            acceleration=None if result is None else result[:, hidden:],
+        )
         self.exceeded = self.limits.first_exceeded(recording)
         if self.exceeded and self.on_limit == "error":
             raise LimitError(self.exceeded[0], expected="a run within its limits")
         return recording
-
-

@@ -65,12 +65,12 @@ def joint_torque_per_ampere(arm: ArmParameters, torque_form: str = "physical") -
     """
     if torque_form not in ("physical", "printed"):
         raise ParameterError(f"torque_form '{torque_form}'", expected="physical or printed")
-    return np.array([motor.torque_constant * (motor.gear_ratio if torque_form == "physical" else 1)
-                     for motor in arm.motors])
+    return np.array(
+        [motor.torque_constant * (motor.gear_ratio if torque_form == "physical" else 1) for motor in arm.motors]
+    )
 
 
-def matrices(q, qd, arm: ArmParameters, viscous=(0.0, 0.0, 0.0),
-             torque_form: str = "physical") -> ThirdOrderMatrices:
+def matrices(q, qd, arm: ArmParameters, viscous=(0.0, 0.0, 0.0), torque_form: str = "physical") -> ThirdOrderMatrices:
     """Named matrices at a state.
 
     q [rad], qd [rad/s], viscous [N.m.s/rad] : (3,), real.
@@ -84,8 +84,7 @@ def matrices(q, qd, arm: ArmParameters, viscous=(0.0, 0.0, 0.0),
     torque = joint_torque_per_ampere(arm, torque_form)
     ahead = q + 1j * _STEP * qd
     d, c, g = inertia(q, arm), coriolis(q, arm), gravity_torque(q, arm)
-    d_dot, c_dot, g_dot = (function(ahead, arm).imag / _STEP
-                           for function in (inertia, coriolis, gravity_torque))
+    d_dot, c_dot, g_dot = (function(ahead, arm).imag / _STEP for function in (inertia, coriolis, gravity_torque))
     l_k, r_k = inductance / torque, resistance / torque
     return ThirdOrderMatrices(
         Dbar=l_k[:, None] * (d + np.diag(arm.motor_inertia)),
@@ -96,11 +95,11 @@ def matrices(q, qd, arm: ArmParameters, viscous=(0.0, 0.0, 0.0),
         JKMAT=l_k[:, None] * (qd @ c_dot) + r_k[:, None] * (qd @ c),
         KMAT=np.diag(emf + r_k * viscous),
         LMAT=l_k * g_dot + r_k * g,
-        LKMAT=np.diag(l_k))
+        LKMAT=np.diag(l_k),
+    )
 
 
-def jerk(q, qd, qdd, v, arm: ArmParameters, viscous=(0.0, 0.0, 0.0),
-         torque_form: str = "physical") -> np.ndarray:
+def jerk(q, qd, qdd, v, arm: ArmParameters, viscous=(0.0, 0.0, 0.0), torque_form: str = "physical") -> np.ndarray:
     """Third derivative of the joint angles, equation 5.9.
 
     q [rad], qd [rad/s], qdd [rad/s^2], v [V], viscous [N.m.s/rad] : (3,), real.
@@ -111,13 +110,18 @@ def jerk(q, qd, qdd, v, arm: ArmParameters, viscous=(0.0, 0.0, 0.0),
     ParameterError : unknown torque form.
     """
     m = matrices(q, qd, arm, viscous, torque_form)
-    right = (np.asarray(v, dtype=float) - (m.FMAT + m.BMAT + m.GMAT + m.HMAT) @ np.asarray(qdd)
-             - (m.JKMAT + m.KMAT) @ np.asarray(qd) - m.LMAT)
+    right = (
+        np.asarray(v, dtype=float)
+        - (m.FMAT + m.BMAT + m.GMAT + m.HMAT) @ np.asarray(qdd)
+        - (m.JKMAT + m.KMAT) @ np.asarray(qd)
+        - m.LMAT
+    )
     return np.linalg.solve(m.Dbar, right)
 
 
-def acceleration_from_current(q, qd, current, arm: ArmParameters, viscous=(0.0, 0.0, 0.0),
-                              torque_form: str = "physical") -> np.ndarray:
+def acceleration_from_current(
+    q, qd, current, arm: ArmParameters, viscous=(0.0, 0.0, 0.0), torque_form: str = "physical"
+) -> np.ndarray:
     """Acceleration of the joints that motor currents give, equations 5.2 and 5.4.
 
     q [rad], qd [rad/s], current [A], viscous [N.m.s/rad] : (3,), real or complex.
@@ -128,12 +132,12 @@ def acceleration_from_current(q, qd, current, arm: ArmParameters, viscous=(0.0, 
     ParameterError : unknown torque form.
     """
     torque = joint_torque_per_ampere(arm, torque_form) * np.asarray(current)
-    return np.linalg.solve(inertia(q, arm) + np.diag(arm.motor_inertia),
-                           torque - _velocity_torque(q, qd, arm, viscous))
+    return np.linalg.solve(inertia(q, arm) + np.diag(arm.motor_inertia), torque - _velocity_torque(q, qd, arm, viscous))
 
 
-def current_from_acceleration(q, qd, qdd, arm: ArmParameters, viscous=(0.0, 0.0, 0.0),
-                              torque_form: str = "physical") -> np.ndarray:
+def current_from_acceleration(
+    q, qd, qdd, arm: ArmParameters, viscous=(0.0, 0.0, 0.0), torque_form: str = "physical"
+) -> np.ndarray:
     """Motor currents at which the joints accelerate so: the inverse of the function above.
 
     q [rad], qd [rad/s], qdd [rad/s^2], viscous [N.m.s/rad] : (3,). Returns (3,) [A].
@@ -142,8 +146,7 @@ def current_from_acceleration(q, qd, qdd, arm: ArmParameters, viscous=(0.0, 0.0,
     ------
     ParameterError : unknown torque form.
     """
-    torque = ((inertia(q, arm) + np.diag(arm.motor_inertia)) @ np.asarray(qdd)
-              + _velocity_torque(q, qd, arm, viscous))
+    torque = (inertia(q, arm) + np.diag(arm.motor_inertia)) @ np.asarray(qdd) + _velocity_torque(q, qd, arm, viscous)
     return torque / joint_torque_per_ampere(arm, torque_form)
 
 
@@ -158,11 +161,9 @@ def current_rate(qd, current, v, arm: ArmParameters) -> np.ndarray:
 
 def _velocity_torque(q, qd, arm, viscous):
     qd = np.asarray(qd)
-    return (np.einsum("ijk,j,k->i", coriolis(q, arm), qd, qd) + np.asarray(viscous) * qd
-            + gravity_torque(q, arm))
+    return np.einsum("ijk,j,k->i", coriolis(q, arm), qd, qd) + np.asarray(viscous) * qd + gravity_torque(q, arm)
 
 
 def _motor_constants(arm):
     """R, L and ke N of the three motors."""
-    return np.array([(m.resistance, m.inductance, m.back_emf * m.gear_ratio)
-                     for m in arm.motors]).T
+    return np.array([(m.resistance, m.inductance, m.back_emf * m.gear_ratio) for m in arm.motors]).T

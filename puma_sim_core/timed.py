@@ -25,17 +25,31 @@ _IMPULSE = _registry.slot(IMPULSE)
 def drive_at(time, drive, p):
     """The kernel's `drive` at a time [s]."""
     y1, r1, k1, n1, h1, y2, r2, k2, n2, h2, y3, r3, k3, n3, h3 = drive
-    return (y1, r1 * resistance_growth(p, _DRIFT, time), k1, n1,
-            h1 * warmed_share(p, _WARM_UP, time),
-            y2, r2 * resistance_growth(p, WIDTH + _DRIFT, time), k2, n2,
-            h2 * warmed_share(p, WIDTH + _WARM_UP, time),
-            y3, r3 * resistance_growth(p, 2 * WIDTH + _DRIFT, time), k3, n3,
-            h3 * warmed_share(p, 2 * WIDTH + _WARM_UP, time))
+    return (
+        y1,
+        r1 * resistance_growth(p, _DRIFT, time),
+        k1,
+        n1,
+        h1 * warmed_share(p, _WARM_UP, time),
+        y2,
+        r2 * resistance_growth(p, WIDTH + _DRIFT, time),
+        k2,
+        n2,
+        h2 * warmed_share(p, WIDTH + _WARM_UP, time),
+        y3,
+        r3 * resistance_growth(p, 2 * WIDTH + _DRIFT, time),
+        k3,
+        n3,
+        h3 * warmed_share(p, 2 * WIDTH + _WARM_UP, time),
+    )
 
 
 @inlined
 def push_over(time, step, p):
     """Torques [N.m] from outside in the direction of +q: the mean from `time` to `time` + `step`
     [s], or the value at an instant for step 0."""
-    return (pulse_torque(p, _IMPULSE, time, step), pulse_torque(p, WIDTH + _IMPULSE, time, step),
-            pulse_torque(p, 2 * WIDTH + _IMPULSE, time, step))
+    return (
+        pulse_torque(p, _IMPULSE, time, step),
+        pulse_torque(p, WIDTH + _IMPULSE, time, step),
+        pulse_torque(p, 2 * WIDTH + _IMPULSE, time, step),
+    )

@@ -24,15 +24,15 @@ from .runs import DELAYED, SENSED, TWO_MASS, advance, is_finite, terminal_voltag
 from .simulator import Simulator
 from .two_mass_runs import train_advance
 
-
 _LIMIT = slot(CURRENT_LIMITER)
 #: share of its limit from which a current counts as held by it
 _HELD = 0.999999
 
 
 @merged
-def tracked_rows(advance, x, z, m, volts, on, times, counts, steps, target, corrected, gain, body,
-                 drive, active, p, lock, out):
+def tracked_rows(
+    advance, x, z, m, volts, on, times, counts, steps, target, corrected, gain, body, drive, active, p, lock, out
+):
     """Innovations of each row, with a function like `runs.advance`.
 
     on (k, 3): 0.0 where a drive is cut off; target (k): row of `out` whose first three numbers are
@@ -44,11 +44,28 @@ def tracked_rows(advance, x, z, m, volts, on, times, counts, steps, target, corr
     """
     for r in range(len(counts)):
         a, b, c = on[r][0], on[r][1], on[r][2]
-        now = (drive[0], drive[1], drive[2] * a, drive[3] * a, drive[4],
-               drive[5], drive[6], drive[7] * b, drive[8] * b, drive[9],
-               drive[10], drive[11], drive[12] * c, drive[13] * c, drive[14])
-        v = (a * terminal_voltage(0, volts[r][0], p), b * terminal_voltage(1, volts[r][1], p),
-             c * terminal_voltage(2, volts[r][2], p))
+        now = (
+            drive[0],
+            drive[1],
+            drive[2] * a,
+            drive[3] * a,
+            drive[4],
+            drive[5],
+            drive[6],
+            drive[7] * b,
+            drive[8] * b,
+            drive[9],
+            drive[10],
+            drive[11],
+            drive[12] * c,
+            drive[13] * c,
+            drive[14],
+        )
+        v = (
+            a * terminal_voltage(0, volts[r][0], p),
+            b * terminal_voltage(1, volts[r][1], p),
+            c * terminal_voltage(2, volts[r][2], p),
+        )
         x, z, m = advance(x, z, m, v, times[r], steps[r], counts[r], body, now, active, p, lock)
         if not is_finite(x):
             return r
@@ -74,29 +91,65 @@ def tracked_rows(advance, x, z, m, volts, on, times, counts, steps, target, corr
             a = 0.0 if abs(x[6]) >= _HELD * p[_LIMIT] else a
             b = 0.0 if abs(x[7]) >= _HELD * p[WIDTH + _LIMIT] else b
             c = 0.0 if abs(x[8]) >= _HELD * p[2 * WIDTH + _LIMIT] else c
-        x = (x[0] + gain[0] * e1, x[1] + gain[3] * e2, x[2] + gain[6] * e3,
-             x[3] + d1, x[4] + d2, x[5] + d3,
-             x[6] + a * gain[2] * e1, x[7] + b * gain[5] * e2, x[8] + c * gain[8] * e3)
+        x = (
+            x[0] + gain[0] * e1,
+            x[1] + gain[3] * e2,
+            x[2] + gain[6] * e3,
+            x[3] + d1,
+            x[4] + d2,
+            x[5] + d3,
+            x[6] + a * gain[2] * e1,
+            x[7] + b * gain[5] * e2,
+            x[8] + c * gain[8] * e3,
+        )
         if active & SENSED:
             m = (m[0] + gain[0] * e1, m[1] + gain[3] * e2, m[2] + gain[6] * e3)
         if active & TWO_MASS:
-            z = (z[0], z[1], z[2], z[3] + gain[0] * e1, z[4] + gain[3] * e2, z[5] + gain[6] * e3,
-                 z[6] + d1, z[7] + d2, z[8] + d3)
+            z = (
+                z[0],
+                z[1],
+                z[2],
+                z[3] + gain[0] * e1,
+                z[4] + gain[3] * e2,
+                z[5] + gain[6] * e3,
+                z[6] + d1,
+                z[7] + d2,
+                z[8] + d3,
+            )
     return -1
 
 
 @compiled
-def _tracked(x, z, m, volts, on, times, counts, steps, target, corrected, gain, body, drive, active,
-             p, lock, out):
-    return tracked_rows(advance, x, z, m, volts, on, times, counts, steps, target, corrected, gain,
-                        body, drive, active, p, lock, out)
+def _tracked(x, z, m, volts, on, times, counts, steps, target, corrected, gain, body, drive, active, p, lock, out):
+    return tracked_rows(
+        advance, x, z, m, volts, on, times, counts, steps, target, corrected, gain, body, drive, active, p, lock, out
+    )
 
 
 @compiled
-def _tracked_trains(x, z, m, volts, on, times, counts, steps, target, corrected, gain, body, drive,
-                    active, p, lock, out):
-    return tracked_rows(train_advance, x, z, m, volts, on, times, counts, steps, target, corrected,
-                        gain, body, drive, active, p, lock, out)
+def _tracked_trains(
+    x, z, m, volts, on, times, counts, steps, target, corrected, gain, body, drive, active, p, lock, out
+):
+    return tracked_rows(
+        train_advance,
+        x,
+        z,
+        m,
+        volts,
+        on,
+        times,
+        counts,
+        steps,
+        target,
+        corrected,
+        gain,
+        body,
+        drive,
+        active,
+        p,
+        lock,
+        out,
+    )
 
 
 class Tracked(NamedTuple):
@@ -107,8 +160,7 @@ class Tracked(NamedTuple):
     velocity: np.ndarray
 
 
-def innovations(simulator: Simulator, time, voltage, measured, gain, enable=None,
-                corrected=None) -> Tracked:
+def innovations(simulator: Simulator, time, voltage, measured, gain, enable=None, corrected=None) -> Tracked:
     """Innovations of a model from its present state on.
 
     simulator : at time[0], its state is used up; time (n,) [s]; voltage (n, J) [V], row r held
@@ -131,12 +183,16 @@ def innovations(simulator: Simulator, time, voltage, measured, gain, enable=None
     J, n = simulator.plant.joints, len(time)
     voltage, measured, gain = (np.asarray(a, dtype=float) for a in (voltage, measured, gain))
     if voltage.shape != (n, J) or measured.shape != (n, J) or gain.shape != (J, 3) or n < 2:
-        raise ParameterError(f"time {time.shape}, voltage {voltage.shape}, measured "
-                             f"{measured.shape}, gain {gain.shape}", where="innovations",
-                             expected=f"(n,), (n, {J}), (n, {J}), ({J}, 3)")
+        raise ParameterError(
+            f"time {time.shape}, voltage {voltage.shape}, measured {measured.shape}, gain {gain.shape}",
+            where="innovations",
+            expected=f"(n,), (n, {J}), (n, {J}), ({J}, 3)",
+        )
     hidden = 3 - J
+
     def wide(a):
         return np.ascontiguousarray(np.pad(a, ((0, 0), (hidden, 0))))
+
     volts, duration = wide(voltage[:-1]), np.diff(time)
     out = np.zeros((n - 1, 9))
     out[:, 0:3] = wide(measured[1:])
@@ -148,21 +204,28 @@ def innovations(simulator: Simulator, time, voltage, measured, gain, enable=None
         edges, volts, duration = pieces.time, pieces.voltage, np.diff(pieces.time)
         target = np.full(len(duration), -1)
         target[pieces.row[1:] - 1] = np.arange(n - 1)
-        on = on[np.clip(np.searchsorted(pieces.row, np.arange(len(duration)), side="right") - 1,
-                        0, n - 2)]
+        on = on[np.clip(np.searchsorted(pieces.row, np.arange(len(duration)), side="right") - 1, 0, n - 2)]
     counts = step_counts(duration, simulator.max_step)
     corrected = np.ones(n - 1, dtype=bool) if corrected is None else np.asarray(corrected, bool)
     if corrected.shape != (n - 1,):
-        raise ParameterError(f"corrected {corrected.shape}", where="innovations",
-                             expected=f"({n - 1},)")
+        raise ParameterError(f"corrected {corrected.shape}", where="innovations", expected=f"({n - 1},)")
     gains = native([0.0] * (3 * hidden) + gain.ravel().tolist())
     run = _tracked_trains if active & TWO_MASS else _tracked
-    bad = run(simulator.state, simulator._beyond(), simulator.measured, rows_of(volts),
-              rows_of(on), rows_of(edges[:-1]),
-              counts if BACKEND == "numba" else counts.tolist(), rows_of(duration / counts),
-              target if BACKEND == "numba" else target.tolist(),
-              corrected if BACKEND == "numba" else corrected.tolist(), gains, *simulator._kernel,
-              out)
+    bad = run(
+        simulator.state,
+        simulator._beyond(),
+        simulator.measured,
+        rows_of(volts),
+        rows_of(on),
+        rows_of(edges[:-1]),
+        counts if BACKEND == "numba" else counts.tolist(),
+        rows_of(duration / counts),
+        target if BACKEND == "numba" else target.tolist(),
+        corrected if BACKEND == "numba" else corrected.tolist(),
+        gains,
+        *simulator._kernel,
+        out,
+    )
     if bad >= 0 or not np.isfinite(out).all():
         raise NonFiniteStateError(int(bad))
-    return Tracked(*(out[:, first + hidden:first + 3] for first in (0, 3, 6)))
+    return Tracked(*(out[:, first + hidden : first + 3] for first in (0, 3, 6)))

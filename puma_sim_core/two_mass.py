@@ -26,14 +26,11 @@ from outside. A constraint holds the motor of a soft joint, not its link.
 from __future__ import annotations
 
 from .backend import inlined, outlined
-from .circuit import (ALGEBRAIC, electric_rates, limited_currents, motor_torques,
-                      settled_currents, settled_state)
+from .circuit import ALGEBRAIC, electric_rates, limited_currents, motor_torques, settled_currents, settled_state
 from .contact import changing_step, contact_of, margin
 from .effects import BRISTLE, CURRENT_LIMIT, DRY, SMOOTH, TILT
-from .effects.transmission import (TRAIN_WIDTH, gear_output, is_soft, rotor_inertia, transmitted,
-                                   twist_under)
-from .joint_torques import (bristle_levels, bristle_torques, effect_torques, link_torque,
-                            motor_torque)
+from .effects.transmission import TRAIN_WIDTH, gear_output, is_soft, rotor_inertia, transmitted, twist_under
+from .joint_torques import bristle_levels, bristle_torques, effect_torques, link_torque, motor_torque
 from .kernel import NO_SLIP, STILL, library_trigonometry, remove_rows, rigid_body, solve
 
 
@@ -90,9 +87,23 @@ def rotor_torques(x, body, drive, active, p, slip, bend):
     """Torques [N.m] of the motors less friction and what else acts on the rotors."""
     q1, q2, q3, w1, w2, w3, i1, i2, i3 = x
     _, _, _, n1, h1, _, _, _, n2, h2, _, _, _, n3, h3 = drive
-    t1, t2, t3 = effect_torques(q1, q2, q3, w1, w2, w3, n1 * i1 - h1 * w1, n2 * i2 - h2 * w2,
-                                n3 * i3 - h3 * w3, library_trigonometry(q2, q3), body,
-                                active & ~(SMOOTH | TILT), p, slip, bend)
+    t1, t2, t3 = effect_torques(
+        q1,
+        q2,
+        q3,
+        w1,
+        w2,
+        w3,
+        n1 * i1 - h1 * w1,
+        n2 * i2 - h2 * w2,
+        n3 * i3 - h3 * w3,
+        library_trigonometry(q2, q3),
+        body,
+        active & ~(SMOOTH | TILT),
+        p,
+        slip,
+        bend,
+    )
     if active & SMOOTH:
         t1 -= motor_torque(0, q1, w1, p)
         t2 -= motor_torque(1, q2, w2, p)
@@ -107,8 +118,7 @@ def link_torques(s, t1, t2, t3, trig, push, body, active, p):
     t2 += push[1]
     t3 += push[2]
     if active & TILT:
-        t1, t2, t3 = effect_torques(s[0], s[1], s[2], s[3], s[4], s[5], t1, t2, t3, trig, body,
-                                    TILT, p, NO_SLIP, STILL)
+        t1, t2, t3 = effect_torques(s[0], s[1], s[2], s[3], s[4], s[5], t1, t2, t3, trig, body, TILT, p, NO_SLIP, STILL)
     if active & SMOOTH:
         t1 -= link_torque(0, s[0], s[3], p)
         t2 -= link_torque(1, s[1], s[4], p)
@@ -138,16 +148,27 @@ def link_system(x, s, v, body, drive, active, p, slip, bend):
     tau3, g3, f3, c3 = coupling(k3, x[2], x[5], s[2], s[5], p)
     trig = library_trigonometry(s[1], s[2])
     t1, t2, t3 = link_torques(s, tau1, tau2, tau3, trig, (v[3], v[4], v[5]), body, active, p)
-    m11, m12, m13, m22, m23, m33, b1, b2, b3 = rigid_body(
-        s[3], s[4], s[5], t1, t2, t3, trig, body)
+    m11, m12, m13, m22, m23, m33, b1, b2, b3 = rigid_body(s[3], s[4], s[5], t1, t2, t3, trig, body)
     b1 -= m11 * c1 + m12 * c2 + m13 * c3
     b2 -= m12 * c1 + m22 * c2 + m23 * c3
     b3 -= m13 * c1 + m23 * c2 + m33 * c3
     m11, b1 = rotor_row(k1, m11, b1, f1, rotor[0], p)
     m22, b2 = rotor_row(k2, m22, b2, f2, rotor[1], p)
     m33, b3 = rotor_row(k3, m33, b3, f3, rotor[2], p)
-    return (m11, f1 * f2 * m12, f1 * f3 * m13, m22, f2 * f3 * m23, m33, b1, b2, b3,
-            rotor[0] - g1 * tau1, rotor[1] - g2 * tau2, rotor[2] - g3 * tau3)
+    return (
+        m11,
+        f1 * f2 * m12,
+        f1 * f3 * m13,
+        m22,
+        f2 * f3 * m23,
+        m33,
+        b1,
+        b2,
+        b3,
+        rotor[0] - g1 * tau1,
+        rotor[1] - g2 * tau2,
+        rotor[2] - g3 * tau3,
+    )
 
 
 @inlined
@@ -155,8 +176,7 @@ def rigid_lock(lock, p):
     """The lock without its soft joints: it holds their rotors, not their links."""
     k1, k2, k3 = trains(p)
     l1, l2, l3, a1, a2, a3 = lock
-    return (0.0 if is_soft(p, k1) else l1, 0.0 if is_soft(p, k2) else l2,
-            0.0 if is_soft(p, k3) else l3, a1, a2, a3)
+    return (0.0 if is_soft(p, k1) else l1, 0.0 if is_soft(p, k2) else l2, 0.0 if is_soft(p, k3) else l3, a1, a2, a3)
 
 
 @inlined
@@ -172,8 +192,7 @@ def rates(y, v, body, drive, active, p, lock, slip, bend):
     """Derivative of (q, qd, i, ql, qdl), fifteen numbers; zero for the links of rigid joints."""
     k1, k2, k3 = trains(p)
     q1, q2, q3, w1, w2, w3, i1, i2, i3, l1, l2, l3, u1, u2, u3 = y
-    i1, i2, i3, e1, e2, e3 = electric_rates(
-        i1, i2, i3, w1, w2, w3, v[0], v[1], v[2], drive, active, p)
+    i1, i2, i3, e1, e2, e3 = electric_rates(i1, i2, i3, w1, w2, w3, v[0], v[1], v[2], drive, active, p)
     x = (q1, q2, q3, w1, w2, w3, i1, i2, i3)
     s = link_motions(x, (l1, l2, l3, u1, u2, u3), p)
     n = link_system(x, s, v, body, drive, active, p, slip, bend)
@@ -188,10 +207,23 @@ def rates(y, v, body, drive, active, p, lock, slip, bend):
 @outlined
 def moved(y, h, k):
     """y + h k, fifteen numbers."""
-    return (y[0] + h * k[0], y[1] + h * k[1], y[2] + h * k[2], y[3] + h * k[3], y[4] + h * k[4],
-            y[5] + h * k[5], y[6] + h * k[6], y[7] + h * k[7], y[8] + h * k[8], y[9] + h * k[9],
-            y[10] + h * k[10], y[11] + h * k[11], y[12] + h * k[12], y[13] + h * k[13],
-            y[14] + h * k[14])
+    return (
+        y[0] + h * k[0],
+        y[1] + h * k[1],
+        y[2] + h * k[2],
+        y[3] + h * k[3],
+        y[4] + h * k[4],
+        y[5] + h * k[5],
+        y[6] + h * k[6],
+        y[7] + h * k[7],
+        y[8] + h * k[8],
+        y[9] + h * k[9],
+        y[10] + h * k[10],
+        y[11] + h * k[11],
+        y[12] + h * k[12],
+        y[13] + h * k[13],
+        y[14] + h * k[14],
+    )
 
 
 @inlined
@@ -204,16 +236,14 @@ def mean_rate(a, b, c, d):
 def levels_half_way(y, v, body, drive, active, p):
     """`bristle_levels` at the motors' positions and velocities."""
     motors = motor_torques(y[6], y[7], y[8], y[3], y[4], y[5], v[0], v[1], v[2], drive, active, p)
-    return bristle_levels(y[0], y[1], y[2], y[3], y[4], y[5], motors,
-                          library_trigonometry(y[1], y[2]), body, p)
+    return bristle_levels(y[0], y[1], y[2], y[3], y[4], y[5], motors, library_trigonometry(y[1], y[2]), body, p)
 
 
 @outlined
 def two_mass_step(x, z, v, h, body, drive, active, p, lock, slip):
     """State and z after one classical Runge-Kutta step of h seconds, as `kernel.rk4_step`."""
     half = 0.5 * h
-    y = (x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8],
-         z[3], z[4], z[5], z[6], z[7], z[8])
+    y = (x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8], z[3], z[4], z[5], z[6], z[7], z[8])
     bristles = (z[0], z[1], z[2])
     bend, level = STILL, STILL
     if active & BRISTLE:
@@ -239,8 +269,7 @@ def two_mass_step(x, z, v, h, body, drive, active, p, lock, slip):
     if active & CURRENT_LIMIT:
         i1, i2, i3 = limited_currents(i1, i2, i3, p)
     if active & ALGEBRAIC:
-        i1, i2, i3 = settled_currents(i1, i2, i3, y[3], y[4], y[5], v[0], v[1], v[2], drive,
-                                      active, p)
+        i1, i2, i3 = settled_currents(i1, i2, i3, y[3], y[4], y[5], v[0], v[1], v[2], drive, active, p)
     x = (y[0], y[1], y[2], y[3], y[4], y[5], i1, i2, i3)
     s = link_motions(x, (y[9], y[10], y[11], y[12], y[13], y[14]), p)
     return x, (bristles[0], bristles[1], bristles[2], s[0], s[1], s[2], s[3], s[4], s[5])
@@ -254,15 +283,12 @@ def without_link(k, c, m11, m12, m13, m22, m23, m33, b1, b2, b3, torque, p):
     inertia = rotor_inertia(p, k)
     if c == 0:
         f2, f3 = m12 / m11, m13 / m11
-        return (inertia, 0.0, 0.0, m22 - f2 * m12, m23 - f2 * m13, m33 - f3 * m13,
-                torque, b2 - f2 * b1, b3 - f3 * b1)
+        return (inertia, 0.0, 0.0, m22 - f2 * m12, m23 - f2 * m13, m33 - f3 * m13, torque, b2 - f2 * b1, b3 - f3 * b1)
     if c == 1:
         f1, f3 = m12 / m22, m23 / m22
-        return (m11 - f1 * m12, 0.0, m13 - f1 * m23, inertia, 0.0, m33 - f3 * m23,
-                b1 - f1 * b2, torque, b3 - f3 * b2)
+        return (m11 - f1 * m12, 0.0, m13 - f1 * m23, inertia, 0.0, m33 - f3 * m23, b1 - f1 * b2, torque, b3 - f3 * b2)
     f1, f2 = m13 / m33, m23 / m33
-    return (m11 - f1 * m13, m12 - f1 * m23, 0.0, m22 - f2 * m23, 0.0, inertia,
-            b1 - f1 * b3, b2 - f2 * b3, torque)
+    return (m11 - f1 * m13, m12 - f1 * m23, 0.0, m22 - f2 * m23, 0.0, inertia, b1 - f1 * b3, b2 - f2 * b3, torque)
 
 
 @outlined
@@ -305,8 +331,9 @@ def train_step(x, z, v, h, body, drive, active, p, lock, push):
         if active & DRY:
             if active & ALGEBRAIC:
                 x = settled_state(x, v, drive, active, p)
-            x, z = changing_step(two_mass_step, motor_contact, motor_margin, x, z, held, part,
-                                 body, drive, active, p, lock, STILL)
+            x, z = changing_step(
+                two_mass_step, motor_contact, motor_margin, x, z, held, part, body, drive, active, p, lock, STILL
+            )
         else:
             x, z = two_mass_step(x, z, held, part, body, drive, active, p, lock, NO_SLIP)
     return x, z
@@ -323,9 +350,17 @@ def train_rates(x, z, v, body, drive, active, p, lock, push):
         still, slip = motor_contact(x, z, held, body, drive, active, p, lock, STILL)
     if active & BRISTLE:
         _, bend = bristle_torques((z[0], z[1], z[2]), 0.0, 0.0, 0.0, STILL, p)
-    return rates((x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8],
-                  z[3], z[4], z[5], z[6], z[7], z[8]), held, body, drive, active, p, still, slip,
-                 bend)
+    return rates(
+        (x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8], z[3], z[4], z[5], z[6], z[7], z[8]),
+        held,
+        body,
+        drive,
+        active,
+        p,
+        still,
+        slip,
+        bend,
+    )
 
 
 @inlined
@@ -362,8 +397,7 @@ def settled_links(x, body, drive, active, stiff, p, lock, push):
     for _ in range(3):
         trig = library_trigonometry(s[1], s[2])
         e1, e2, e3 = link_torques(s, 0.0, 0.0, 0.0, trig, push, body, active, p)
-        m11, m12, m13, m22, m23, m33, b1, b2, b3 = rigid_body(
-            s[3], s[4], s[5], e1, e2, e3, trig, body)
+        m11, m12, m13, m22, m23, m33, b1, b2, b3 = rigid_body(s[3], s[4], s[5], e1, e2, e3, trig, body)
         t1 = m11 * a1 + m12 * a2 + m13 * a3 - b1
         t2 = m12 * a1 + m22 * a2 + m23 * a3 - b2
         t3 = m13 * a1 + m23 * a2 + m33 * a3 - b3

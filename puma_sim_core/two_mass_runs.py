@@ -34,27 +34,57 @@ def train_advance(x, z, m, v, t, h, n, body, drive, active, p, lock):
 
 @compiled
 def _train_voltages(x, z, m, volts, times, counts, steps, body, drive, active, p, lock, out):
-    return held_rows(train_advance, x, z, m, volts, times, counts, steps, body, drive, active, p,
-                     lock, out)
+    return held_rows(train_advance, x, z, m, volts, times, counts, steps, body, drive, active, p, lock, out)
 
 
 @compiled
-def _train_servo(x, z, m, start, setpoints, samples, steps, h, servo, memory, late, body, drive,
-                 active, p, lock, out, volts):
-    return servo_rows(train_advance, x, z, m, start, setpoints, samples, steps, h, servo, memory,
-                      late, body, drive, active, p, lock, out, volts)
+def _train_servo(
+    x, z, m, start, setpoints, samples, steps, h, servo, memory, late, body, drive, active, p, lock, out, volts
+):
+    return servo_rows(
+        train_advance,
+        x,
+        z,
+        m,
+        start,
+        setpoints,
+        samples,
+        steps,
+        h,
+        servo,
+        memory,
+        late,
+        body,
+        drive,
+        active,
+        p,
+        lock,
+        out,
+        volts,
+    )
 
 
 @compiled
 def _train_accelerations(out, volts, times, body, drive, active, p, lock, result):
     for r in range(len(result)):
-        x = (out[r, 0], out[r, 1], out[r, 2], out[r, 3], out[r, 4], out[r, 5],
-             out[r, 6], out[r, 7], out[r, 8])
+        x = (out[r, 0], out[r, 1], out[r, 2], out[r, 3], out[r, 4], out[r, 5], out[r, 6], out[r, 7], out[r, 8])
         k = ROW + 3
-        z = (out[r, 9], out[r, 10], out[r, 11], out[r, k], out[r, k + 1], out[r, k + 2],
-             out[r, k + 3], out[r, k + 4], out[r, k + 5])
-        v = (terminal_voltage(0, volts[r][0], p), terminal_voltage(1, volts[r][1], p),
-             terminal_voltage(2, volts[r][2], p))
+        z = (
+            out[r, 9],
+            out[r, 10],
+            out[r, 11],
+            out[r, k],
+            out[r, k + 1],
+            out[r, k + 2],
+            out[r, k + 3],
+            out[r, k + 4],
+            out[r, k + 5],
+        )
+        v = (
+            terminal_voltage(0, volts[r][0], p),
+            terminal_voltage(1, volts[r][1], p),
+            terminal_voltage(2, volts[r][2], p),
+        )
         now, push = drive, STILL
         if active & TIMED:
             now, push = drive_at(times[r], drive, p), push_over(times[r], 0.0, p)
@@ -91,12 +121,14 @@ def run_voltages(x, z, m, volts, times, counts, steps, body, drive, active, p, l
     return run(x, z, m, volts, times, counts, steps, body, drive, active, p, lock, out)
 
 
-def run_servo(x, z, m, start, setpoints, samples, steps, h, servo, memory, late, body, drive,
-              active, p, lock, out, volts) -> int:
+def run_servo(
+    x, z, m, start, setpoints, samples, steps, h, servo, memory, late, body, drive, active, p, lock, out, volts
+) -> int:
     """`runs.run_servo` of any arm."""
     run = _train_servo if active & TWO_MASS else runs.run_servo
-    return run(x, z, m, start, setpoints, samples, steps, h, servo, memory, late, body, drive,
-               active, p, lock, out, volts)
+    return run(
+        x, z, m, start, setpoints, samples, steps, h, servo, memory, late, body, drive, active, p, lock, out, volts
+    )
 
 
 def accelerations(out, volts, times, body, drive, active, p, lock, result) -> None:

@@ -36,8 +36,7 @@ def _origin(parent: ET.Element, xyz: Sequence[float], rpy: Sequence[float] = (0,
     ET.SubElement(parent, "origin", xyz=_numbers(xyz), rpy=_numbers(rpy))
 
 
-def _shape(link: ET.Element, colour: str, xyz, rpy=(0, 0, 0), *, box=None, cylinder=None,
-           sphere=None) -> None:
+def _shape(link: ET.Element, colour: str, xyz, rpy=(0, 0, 0), *, box=None, cylinder=None, sphere=None) -> None:
     """Add the same shape as what is seen and what collides."""
     for kind in ("visual", "collision"):
         element = ET.SubElement(link, kind)
@@ -53,8 +52,7 @@ def _shape(link: ET.Element, colour: str, xyz, rpy=(0, 0, 0), *, box=None, cylin
             ET.SubElement(element, "material", name=colour)
 
 
-def _joint(robot: ET.Element, name: str, kind: str, parent: str, child: str, xyz, rpy
-           ) -> ET.Element:
+def _joint(robot: ET.Element, name: str, kind: str, parent: str, child: str, xyz, rpy) -> ET.Element:
     joint = ET.SubElement(robot, "joint", name=name, type=kind)
     _origin(joint, xyz, rpy)
     ET.SubElement(joint, "parent", link=parent)
@@ -62,8 +60,12 @@ def _joint(robot: ET.Element, name: str, kind: str, parent: str, child: str, xyz
     return joint
 
 
-def arm_urdf(arm: ArmParameters, joint_names: Sequence[str] = ("joint1", "joint2", "joint3"),
-             base_link: str = "base_link", voltage_limit: float = 40.0) -> str:
+def arm_urdf(
+    arm: ArmParameters,
+    joint_names: Sequence[str] = ("joint1", "joint2", "joint3"),
+    base_link: str = "base_link",
+    voltage_limit: float = 40.0,
+) -> str:
     """URDF of the three-joint arm.
 
     Parameters
@@ -86,27 +88,28 @@ def arm_urdf(arm: ArmParameters, joint_names: Sequence[str] = ("joint1", "joint2
     _shape(links[base_link], "grey", (0, 0, -0.10 - column / 2), cylinder=(0.09, column))
     _shape(links[base_link], "grey", (0, 0, -_SHOULDER_HEIGHT + 0.01), box=(0.34, 0.34, 0.02))
     # the shoulder lies along z1, which is y of the link that turns with joint 1
-    _shape(links["link1"], "white", (0, d3 / 4, 0), (_HALF_TURN, 0, 0),
-           cylinder=(0.10, 0.18 + d3 / 2))
+    _shape(links["link1"], "white", (0, d3 / 4, 0), (_HALF_TURN, 0, 0), cylinder=(0.10, 0.18 + d3 / 2))
     _shape(links["link2"], "white", (a2 / 2 - 0.06, 0, d3 + 0.09), box=(a2 + 0.26, 0.20, 0.08))
     _shape(links["link2"], "orange", (a2, 0, d3 + 0.04), cylinder=(0.065, 0.16))
     # z3 is -y of the link that turns with joint 3
     _shape(links["link3"], "white", (a3, -d4 / 2 + 0.04, d3), box=(0.11, d4 + 0.08, 0.09))
     _shape(links["link3"], "orange", (a3, -d4, d3), sphere=0.055)
 
-    origins = (((0, 0, 0), (0, 0, 0)),
-               ((0, 0, 0), (-_HALF_TURN, 0, 0)),
-               ((a2, 0, 0), (0, 0, 0)))
+    origins = (((0, 0, 0), (0, 0, 0)), ((0, 0, 0), (-_HALF_TURN, 0, 0)), ((a2, 0, 0), (0, 0, 0)))
     for index, (xyz, rpy) in enumerate(origins):
-        joint = _joint(robot, joint_names[index], "revolute", link_names[index],
-                       link_names[index + 1], xyz, rpy)
+        joint = _joint(robot, joint_names[index], "revolute", link_names[index], link_names[index + 1], xyz, rpy)
         ET.SubElement(joint, "axis", xyz="0 0 1")
         motor = arm.motors[index]
         ratio = abs(motor.gear_ratio)
         low, high = arm.joint_ranges[index]
-        ET.SubElement(joint, "limit", lower=repr(float(low)), upper=repr(float(high)),
-                      effort=repr(ratio * motor.torque_constant * voltage_limit / motor.resistance),
-                      velocity=repr(voltage_limit / (ratio * motor.back_emf)))
+        ET.SubElement(
+            joint,
+            "limit",
+            lower=repr(float(low)),
+            upper=repr(float(high)),
+            effort=repr(ratio * motor.torque_constant * voltage_limit / motor.resistance),
+            velocity=repr(voltage_limit / (ratio * motor.back_emf)),
+        )
     _joint(robot, "tool0_fixed", "fixed", "link3", "tool0", (a3, -d4, d3), (_HALF_TURN, 0, 0))
 
     ET.indent(robot)

@@ -34,8 +34,9 @@ def _message_type(name: str, topic: str):
     try:
         return getattr(importlib.import_module(f"{package}.msg"), kind)
     except (ImportError, AttributeError) as error:
-        raise BagError(f"type {name} is not installed", where=f"topic {topic}",
-                       expected="a message type of this ROS installation") from error
+        raise BagError(
+            f"type {name} is not installed", where=f"topic {topic}", expected="a message type of this ROS installation"
+        ) from error
 
 
 def _commands(messages) -> list:
@@ -45,8 +46,7 @@ def _commands(messages) -> list:
 
 def _simulator_runs(node, topics) -> bool:
     """Whether someone else publishes the states, too."""
-    return any(node.count_publishers(topic) > 1 for topic in topics
-               if topic.endswith("/joint_states"))
+    return any(node.count_publishers(topic) > 1 for topic in topics if topic.endswith("/joint_states"))
 
 
 def publish_bag(path: str | Path, *, rate: float = 1.0, commands_only: bool | None = None) -> int:
@@ -78,7 +78,8 @@ def publish_bag(path: str | Path, *, rate: float = 1.0, commands_only: bool | No
             if topic not in publishers:
                 latched = topic.endswith(_LATCHED)
                 publishers[topic] = node.create_publisher(
-                    _message_type(message.type, topic), topic, qos(10, latched=latched))
+                    _message_type(message.type, topic), topic, qos(10, latched=latched)
+                )
 
         def awaited() -> bool:
             # a viewer is found sooner than a simulator may be, whom it must not be mixed with
@@ -112,10 +113,10 @@ def main(args: Sequence[str] | None = None) -> int:
     """Command line of the module; returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("bag", type=Path)
-    parser.add_argument("--rate", type=float, default=1.0,
-                        help="simulated seconds for each second of the wall clock")
-    parser.add_argument("--commands-only", action="store_true", default=None,
-                        help="leave out what a simulator publishes")
+    parser.add_argument("--rate", type=float, default=1.0, help="simulated seconds for each second of the wall clock")
+    parser.add_argument(
+        "--commands-only", action="store_true", default=None, help="leave out what a simulator publishes"
+    )
     options = parser.parse_args(args)
     try:
         count = publish_bag(options.bag, rate=options.rate, commands_only=options.commands_only)

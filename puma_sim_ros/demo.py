@@ -40,8 +40,11 @@ def move(out: Path, mode: str) -> tuple[Path, Recording, str]:
     table = out / "controller.csv"
     table.unlink(missing_ok=True)
     bag, summary = run_session(
-        out, {"mode": mode, "paused": mode == "realtime"}, "external_controller",
-        {"log_path": table, "timeout": PATIENCE})
+        out,
+        {"mode": mode, "paused": mode == "realtime"},
+        "external_controller",
+        {"log_path": table, "timeout": PATIENCE},
+    )
     return bag, read_csv(table, required=("voltage", "setpoint", "position")), summary
 
 
@@ -54,13 +57,11 @@ def _lines(bag: BagContents, table: Recording, summary: str) -> list[str]:
     lines = [
         f"tracking error: rms {rms[0]:.3f}, {rms[1]:.3f}, {rms[2]:.3f} deg; "
         f"worst {worst[0]:.3f}, {worst[1]:.3f}, {worst[2]:.3f} deg (joints 1, 2, 3)",
-        f"steps: {bag.steps[-1]} of {1e3 * period:g} ms, "
-        f"{lost} lost on the way to the controller",
+        f"steps: {bag.steps[-1]} of {1e3 * period:g} ms, {lost} lost on the way to the controller",
     ]
     found = re.search(r"overruns (\d+), lateness median ([\d.]+) ms, p99 ([\d.]+) ms", summary)
     if found:
-        lines.append("lateness: median {1} ms, 99 % below {2} ms; {0} overruns"
-                     .format(*found.groups()))
+        lines.append("lateness: median {1} ms, 99 % below {2} ms; {0} overruns".format(*found.groups()))
     return lines
 
 
@@ -69,6 +70,7 @@ def draw(bag: BagContents, table: Recording, arm, path: Path) -> bool:
     if importlib.util.find_spec("matplotlib") is None:
         return False
     from .demo_picture import draw_motion
+
     draw_motion(bag, table, arm, path)
     return True
 
@@ -76,16 +78,21 @@ def draw(bag: BagContents, table: Recording, arm, path: Path) -> bool:
 def run(out: Path, mode: str) -> None:
     """The demonstration; raises PumaSimError when something of it fails."""
     out.mkdir(parents=True, exist_ok=True)
-    print("sim_node and external_controller, two processes over DDS: the arm moves down a vertical "
-          f"line ({mode}).\nThis takes about 10 s; half a minute when the model is first compiled.",
-          flush=True)
+    print(
+        "sim_node and external_controller, two processes over DDS: the arm moves down a vertical "
+        f"line ({mode}).\nThis takes about 10 s; half a minute when the model is first compiled.",
+        flush=True,
+    )
     bag_path, table, summary = move(out, mode)
     result = replay(bag_path)
     bag = read_bag(bag_path)
     for line in _lines(bag, table, summary):
         print(line)
-    print(f"replay identical: {result.steps} steps, to the last bit" if result.identical
-          else f"replay differs: {result.first_difference}")
+    print(
+        f"replay identical: {result.steps} steps, to the last bit"
+        if result.identical
+        else f"replay differs: {result.first_difference}"
+    )
     print(f"bag: {bag_path}")
     arm = session_of(bag_path, bag.config_text)[0].plant.arm
     picture = out / "motion.png"
@@ -104,9 +111,11 @@ def main(args: Sequence[str] | None = None) -> int:
     parser.add_argument("--mode", choices=("realtime", "lockstep"), default="realtime")
     options = parser.parse_args(args)
     if importlib.util.find_spec("rclpy") is None:
-        print("demo: rclpy is not installed; on a machine without ROS 2:\n"
-              "  pip install 'ros-jazzy-rclpy[fastrtps]' ros-jazzy-common-interfaces",
-              file=sys.stderr)
+        print(
+            "demo: rclpy is not installed; on a machine without ROS 2:\n"
+            "  pip install 'ros-jazzy-rclpy[fastrtps]' ros-jazzy-common-interfaces",
+            file=sys.stderr,
+        )
         return 2
     try:
         run(options.out, options.mode)

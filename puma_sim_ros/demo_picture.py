@@ -15,7 +15,7 @@ from puma_sim_core.parameters import ArmParameters
 from puma_sim_core.recording import Recording
 
 matplotlib.use("Agg")
-from matplotlib import pyplot as plt  # noqa: E402
+from matplotlib import pyplot as plt
 
 _JOINT_COLOURS = ("#4c72b0", "#c4622d", "#3a8f5c")
 _INK, _PALE = "#2b2d33", "#c9ccd3"
@@ -27,17 +27,24 @@ def draw_motion(bag: BagContents, table: Recording, arm: ArmParameters, path: Pa
     bag : the recorded session; table : what the controller noted (setpoints, positions [rad],
     voltages [V] over time [s]); arm : for the lengths of the links.
     """
-    style = {"font.size": 9, "axes.edgecolor": _INK, "axes.labelcolor": _INK,
-             "xtick.color": _INK, "ytick.color": _INK, "text.color": _INK,
-             "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False}
+    style = {
+        "font.size": 9,
+        "axes.edgecolor": _INK,
+        "axes.labelcolor": _INK,
+        "xtick.color": _INK,
+        "ytick.color": _INK,
+        "text.color": _INK,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "legend.frameon": False,
+    }
     with plt.rc_context(style):
         figure = plt.figure(figsize=(11.0, 6.6), layout="constrained")
         grid = figure.add_gridspec(3, 2, width_ratios=(0.8, 1.0))
         _draw_arm(figure.add_subplot(grid[:, 0]), table, arm)
         axes = [figure.add_subplot(grid[row, 1]) for row in range(3)]
         _draw_joints(axes, bag, table)
-        figure.suptitle("PUMA 560 down a vertical line: PID in volts over ROS 2 topics",
-                        fontsize=12)
+        figure.suptitle("PUMA 560 down a vertical line: PID in volts over ROS 2 topics", fontsize=12)
         figure.savefig(path, dpi=130)
         plt.close(figure)
 
@@ -52,14 +59,30 @@ def _draw_arm(ax, table: Recording, arm: ArmParameters) -> None:
         joints = np.array([np.zeros(3), elbow_position(q, arm), wrist_position(q, arm)])
         last = place == len(rows) - 1
         shade = _INK if last else plt.cm.Greys(0.2 + 0.07 * place)
-        ax.plot(joints[:, 0], joints[:, 2], color=shade, lw=8 if last else 5, alpha=0.9,
-                solid_capstyle="round", solid_joinstyle="round", zorder=2 + place)
+        ax.plot(
+            joints[:, 0],
+            joints[:, 2],
+            color=shade,
+            lw=8 if last else 5,
+            alpha=0.9,
+            solid_capstyle="round",
+            solid_joinstyle="round",
+            zorder=2 + place,
+        )
         ax.plot(*joints[1, [0, 2]], "o", color="white", ms=4 if last else 3, zorder=2 + place)
     ax.plot(0.0, 0.0, "o", color="white", ms=4, zorder=10)
     wanted = np.array([wrist_position(q, arm) for q in table.setpoint])
     gone = np.array([wrist_position(q, arm) for q in table.position])
-    ax.plot(wanted[:, 0], wanted[:, 2], color="#d9a400", lw=5, alpha=0.55, zorder=20,
-            label="setpoints of the wrist", solid_capstyle="round")
+    ax.plot(
+        wanted[:, 0],
+        wanted[:, 2],
+        color="#d9a400",
+        lw=5,
+        alpha=0.55,
+        zorder=20,
+        label="setpoints of the wrist",
+        solid_capstyle="round",
+    )
     ax.plot(gone[:, 0], gone[:, 2], color="#b3202a", lw=1.3, zorder=21, label="wrist")
     ax.plot(*gone[-1, [0, 2]], "o", color="#b3202a", ms=5, zorder=22)
     apart = 1e3 * np.linalg.norm(gone - wanted, axis=1).max()
@@ -74,10 +97,8 @@ def _draw_joints(axes, bag: BagContents, table: Recording) -> None:
     time = bag.time_ns * 1e-9
     for j, colour in enumerate(_JOINT_COLOURS):
         angle.plot(table.time, np.degrees(table.setpoint[:, j]), color=colour, lw=4, alpha=0.3)
-        angle.plot(time, np.degrees(bag.position[:, j]), color=colour, lw=1.2,
-                   label=f"joint {j + 1}")
-        error.plot(table.time, np.degrees(table.setpoint[:, j] - table.position[:, j]),
-                   color=colour, lw=1.2)
+        angle.plot(time, np.degrees(bag.position[:, j]), color=colour, lw=1.2, label=f"joint {j + 1}")
+        error.plot(table.time, np.degrees(table.setpoint[:, j] - table.position[:, j]), color=colour, lw=1.2)
         # a voltage holds over the step that led to its state
         volts.step(time, bag.voltage[:, j], where="pre", color=colour, lw=1.0)
     angle.set_ylabel("angle [deg]")

@@ -37,11 +37,9 @@ class ExcitingController(ExternalController):
         super().__init__("exciting_controller", PARAMETERS)
         self.start = None
         if not 1.0 <= self.p["duration"] <= 600.0:
-            raise ControllerError(f"{self.p['duration']:g} s", where="parameter 'duration'",
-                                  expected="1 to 600 s")
+            raise ControllerError(f"{self.p['duration']:g} s", where="parameter 'duration'", expected="1 to 600 s")
         if len(self.p["gain"]) != 3:
-            raise ControllerError(f"gain {list(self.p['gain'])}",
-                                  expected="three numbers, one for each joint")
+            raise ControllerError(f"gain {list(self.p['gain'])}", expected="three numbers, one for each joint")
 
     def controller_settings(self) -> dict:
         """None: there is no controller by a name."""
@@ -49,8 +47,7 @@ class ExcitingController(ExternalController):
 
     def make_controller(self, limit: float):
         """The volts (n, 3) that depend on nothing measured, for each period; with setpoints."""
-        self.setpoints, volts = expected_volts(self.p["parameter_set"], self.p["duration"],
-                                               self.period, self.p["seed"])
+        self.setpoints, volts = expected_volts(self.p["parameter_set"], self.p["duration"], self.period, self.p["seed"])
         return np.clip(volts, -limit, limit)
 
     def control(self, t: float, position: list[float]) -> tuple[float, ...] | None:

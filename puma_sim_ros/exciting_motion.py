@@ -27,18 +27,20 @@ _FADE = 1.0
 #: dither: frequencies [Hz], and the amplitude of each [V]
 _DITHER, _DITHER_VOLTS = (1.3, 2.1, 3.4, 5.5, 7.7), 0.35
 
+
 def motion(duration: float, period: float, seed: int) -> np.ndarray:
     """Setpoints (n, 3) [rad] each `period` [s]: finite Fourier series faded in from `MIDDLE`."""
     random = np.random.default_rng(seed)
     time = np.arange(round(duration / period) + 1) * period
     orders = np.arange(1.0, max(_HIGHEST * duration, 2.0) + 1.0)
     share = np.clip(time / _FADE, 0.0, 1.0)
-    fade = share ** 3 * (10.0 - 15.0 * share + 6.0 * share ** 2)
+    fade = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
     columns = []
     for middle, reach, speed in zip(MIDDLE, _REACH, _SPEED):
         # one slow and wide, the others anywhere
-        chosen = np.append(random.choice(orders[1:], min(_HARMONICS, len(orders)) - 1,
-                                         replace=False), random.choice(orders[:2]))
+        chosen = np.append(
+            random.choice(orders[1:], min(_HARMONICS, len(orders)) - 1, replace=False), random.choice(orders[:2])
+        )
         phase = random.uniform(0.0, 2.0 * np.pi, len(chosen))
         size = random.uniform(0.5, 1.0, len(chosen)) / chosen
         size[-1] *= _WIDE
@@ -48,8 +50,7 @@ def motion(duration: float, period: float, seed: int) -> np.ndarray:
     return np.stack(columns, axis=1)
 
 
-def expected_volts(parameter_set: str, duration: float, period: float, seed: int
-                   ) -> tuple[np.ndarray, np.ndarray]:
+def expected_volts(parameter_set: str, duration: float, period: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Setpoints (n, 3) [rad] each `period` [s], and the volts (n, 3) to hold from each on.
 
     The volts are those that the arm takes in the middle of the period, and the dither.
@@ -68,4 +69,4 @@ def expected_volts(parameter_set: str, duration: float, period: float, seed: int
     for j in range(3):
         angles = 2.0 * np.pi * np.outer(time, _DITHER) + phases[j]
         volts[:, j] += _DITHER_VOLTS * np.sin(angles).sum(axis=1)
-    return fine[::2][:len(volts)], volts
+    return fine[::2][: len(volts)], volts

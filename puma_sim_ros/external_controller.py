@@ -60,8 +60,7 @@ class ExternalController(Node):
 
     def __init__(self, name: str = "external_controller", parameters=PARAMETERS) -> None:
         super().__init__(name)
-        self.p = {name: self.declare_parameter(name, default).value
-                  for name, default in parameters.items()}
+        self.p = {name: self.declare_parameter(name, default).value for name, default in parameters.items()}
         self.arm = load_parameters(self.p["parameter_set"])
         self.settings = self.controller_settings()
         self.spinner = SingleThreadedExecutor()
@@ -73,8 +72,7 @@ class ExternalController(Node):
         self.answered_ns, self.answered_at = -1, 0.0
         self.heard_at = time.monotonic()
         self.command = Float64MultiArray()
-        self.publisher = self.create_publisher(Float64MultiArray, "voltage_controller/commands",
-                                               qos(10))
+        self.publisher = self.create_publisher(Float64MultiArray, "voltage_controller/commands", qos(10))
         self.create_subscription(JointState, "joint_states", self.on_state, qos(10))
         # made last: when the simulator answers it, it has found the two topics before, and no
         # command is lost
@@ -84,27 +82,24 @@ class ExternalController(Node):
         """Settings of the controller; raises ControllerError on what cannot be."""
         kind, path = self.p["controller"], self.p["controllers_file"]
         if kind not in KINDS:
-            raise ControllerError(kind, where="parameter 'controller'",
-                                  expected=" or ".join(KINDS))
+            raise ControllerError(kind, where="parameter 'controller'", expected=" or ".join(KINDS))
         if kind != "pid":
             return load_settings(kind, "external", path or None)
-        columns = {name: list(self.p[name])
-                   for name in ("gain", "integral_time", "derivative_time")}
+        columns = {name: list(self.p[name]) for name in ("gain", "integral_time", "derivative_time")}
         if any(len(column) != 3 for column in columns.values()):
-            raise ControllerError(f"gains {list(columns.values())}",
-                                  expected="three numbers of each, one for each joint")
+            raise ControllerError(
+                f"gains {list(columns.values())}", expected="three numbers of each, one for each joint"
+            )
         return {**columns, "derivative_on_measurement": False}
 
     def connect(self) -> None:
         """Ask the simulator for its parameters, and start it if it is paused."""
         self.wait_until(self.simulator.services_are_ready)
         names = ["command_interface", "joints", "period", "voltage_limit", "paused"]
-        values = [parameter_value(message) for message in
-                  self.answer(self.simulator.get_parameters, names).values]
+        values = [parameter_value(message) for message in self.answer(self.simulator.get_parameters, names).values]
         interface, self.joints, self.period, limit, paused = values
         if interface != "voltage":
-            raise ControllerError(f"command_interface is {interface}", where=self.p["simulator"],
-                                  expected="voltage")
+            raise ControllerError(f"command_interface is {interface}", where=self.p["simulator"], expected="voltage")
         self.wait_until(lambda: self.publisher.get_subscription_count() > 0)
         self.controller = self.make_controller(limit)
         if paused:
@@ -112,8 +107,9 @@ class ExternalController(Node):
 
     def make_controller(self, limit: float):
         """The controller, for motors that take up to `limit` [V]."""
-        return make_controller(self.p["controller"], self.arm, self.settings, self.period, limit,
-                               setpoint_period=self.period)
+        return make_controller(
+            self.p["controller"], self.arm, self.settings, self.period, limit, setpoint_period=self.period
+        )
 
     def on_state(self, message: JointState) -> None:
         """Answer a state with a command."""
@@ -142,8 +138,7 @@ class ExternalController(Node):
         """Volts for positions [rad] at simulated time t [s]; None when the path is over."""
         if self.setpoints is None:
             self.start = t
-            _, self.setpoints = vertical_line(self.arm, position, -self.p["drop"],
-                                              self.p["duration"], self.period)
+            _, self.setpoints = vertical_line(self.arm, position, -self.p["drop"], self.p["duration"], self.period)
         if t - self.start > self.p["duration"] + self.p["settle"]:
             self.done = True
             return None
@@ -170,8 +165,10 @@ class ExternalController(Node):
                 repeated_at = now
             if now - self.heard_at > self.p["timeout"]:
                 raise ControllerError(
-                    f"no answer for {self.p['timeout']:g} s", where=self.p["simulator"],
-                    expected="a sim_node of that name in this namespace and ROS_DOMAIN_ID")
+                    f"no answer for {self.p['timeout']:g} s",
+                    where=self.p["simulator"],
+                    expected="a sim_node of that name in this namespace and ROS_DOMAIN_ID",
+                )
 
     def answer(self, call, argument):
         """The result of a service call.
@@ -180,8 +177,7 @@ class ExternalController(Node):
         discovered who asks.
         """
         futures = [call(argument)]
-        self.wait_until(lambda: any(future.done() for future in futures),
-                        lambda: futures.append(call(argument)))
+        self.wait_until(lambda: any(future.done() for future in futures), lambda: futures.append(call(argument)))
         return next(future.result() for future in futures if future.done())
 
     def recording(self) -> Recording:
@@ -200,8 +196,7 @@ def report(recording: Recording, period: float) -> str:
     error = np.degrees(recording.setpoint - recording.position)
     rms, worst = np.sqrt((error**2).mean(axis=0)), np.abs(error).max(axis=0)
     missed = round((recording.time[-1] - recording.time[0]) / period) + 1 - len(recording)
-    lines = [f"tracking error of joint {j + 1}: rms {rms[j]:.3f} deg, worst {worst[j]:.3f} deg"
-             for j in range(3)]
+    lines = [f"tracking error of joint {j + 1}: rms {rms[j]:.3f} deg, worst {worst[j]:.3f} deg" for j in range(3)]
     return "\n".join([*lines, f"states answered: {len(recording)}, missed: {missed}"])
 
 

@@ -70,8 +70,7 @@ class StateMessages:
         return self._clock
 
 
-def diagnostics(now, name: str, level: bytes, message: str, values: Mapping[str, object]
-                ) -> DiagnosticArray:
+def diagnostics(now, name: str, level: bytes, message: str, values: Mapping[str, object]) -> DiagnosticArray:
     """A DiagnosticArray with one status; `now` is the stamp, a builtin_interfaces/Time."""
     status = DiagnosticStatus(level=level, name=name, message=message, hardware_id="puma560")
     status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]

@@ -42,16 +42,25 @@ class NodeBag:
         try:
             from puma_sim_core.bag import BagRecorder
         except ImportError as error:
-            raise BagError(f"{error.name} is not installed", where="parameter 'bag_path'",
-                           expected="the Python packages mcap and rosbags") from error
+            raise BagError(
+                f"{error.name} is not installed",
+                where="parameter 'bag_path'",
+                expected="the Python packages mcap and rosbags",
+            ) from error
         path = self._first
         if self._recorder is not None:
             numbered = (path.with_name(f"{path.name}_{n}") for n in itertools.count(1))
             path = next(candidate for candidate in numbered if not candidate.exists())
         recorder = BagRecorder(
-            path, namespace=self._namespace, config_text=model, urdf=urdf,
-            joint_names=config.joint_names, frame_id=config.frame_id,
-            command_interface=config.command_interface, period_ns=config.period_ns)
+            path,
+            namespace=self._namespace,
+            config_text=model,
+            urdf=urdf,
+            joint_names=config.joint_names,
+            frame_id=config.frame_id,
+            command_interface=config.command_interface,
+            period_ns=config.period_ns,
+        )
         recorder.write_state(state)
         former, self._recorder = self._recorder, recorder
         return former

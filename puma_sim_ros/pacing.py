@@ -37,8 +37,7 @@ class Lateness:
             self.worst_ns = late_ns
         place = 0
         if late_ns > _LEAST_NS:
-            place = min(math.ceil(_BINS_PER_FACTOR_TWO * math.log2(late_ns / _LEAST_NS)),
-                        _BINS - 1)
+            place = min(math.ceil(_BINS_PER_FACTOR_TWO * math.log2(late_ns / _LEAST_NS)), _BINS - 1)
         self._counts[place] += 1
 
     def quantile(self, fraction: float) -> float:
@@ -78,8 +77,9 @@ class Pacer:
     from the start, so that neither rounding nor lateness adds up.
     """
 
-    def __init__(self, period_ns: int, real_time_factor: float = 1.0,
-                 clock: Callable[[], int] = time.monotonic_ns) -> None:
+    def __init__(
+        self, period_ns: int, real_time_factor: float = 1.0, clock: Callable[[], int] = time.monotonic_ns
+    ) -> None:
         self._period_ns = period_ns
         self._clock = clock
         self.lateness = Lateness()
@@ -133,6 +133,8 @@ class Pacer:
     def summary(self) -> str:
         """One line for a person."""
         late = self.lateness
-        return (f"steps {self.steps}, overruns {self.overruns}, lateness "
-                f"median {1e3 * late.quantile(0.5):.3f} ms, "
-                f"p99 {1e3 * late.quantile(0.99):.3f} ms, worst {1e3 * late.worst:.3f} ms")
+        return (
+            f"steps {self.steps}, overruns {self.overruns}, lateness "
+            f"median {1e3 * late.quantile(0.5):.3f} ms, "
+            f"p99 {1e3 * late.quantile(0.99):.3f} ms, worst {1e3 * late.worst:.3f} ms"
+        )

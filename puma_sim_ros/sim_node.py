@@ -79,8 +79,7 @@ class SimNode(Node):
         self.create_service(Trigger, "~/step", self._on_step)
         self.add_on_set_parameters_callback(self._check_change)
         self.add_post_set_parameters_callback(self._on_changed)
-        self.create_timer(1.0, self._publish_diagnostics, clock=Clock(
-            clock_type=ClockType.STEADY_TIME))
+        self.create_timer(1.0, self._publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._bag = NodeBag(self._values["bag_path"], self.get_namespace())
         self._bag.start(self._config, *_texts(self._config), self._session.state)
 
@@ -95,21 +94,23 @@ class SimNode(Node):
         self._currents = self.create_publisher(Float64MultiArray, "motor_currents", qos(10))
         self._voltages = self.create_publisher(Float64MultiArray, "motor_voltages", qos(10))
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos(10))
-        self._clock_publisher = self.create_publisher(ClockMessage, "/clock", qos(10)) \
-            if self._values["publish_clock"] else None
-        self._description = self.create_publisher(String, "robot_description",
-                                                  qos(1, latched=True))
+        self._clock_publisher = (
+            self.create_publisher(ClockMessage, "/clock", qos(10)) if self._values["publish_clock"] else None
+        )
+        self._description = self.create_publisher(String, "robot_description", qos(1, latched=True))
         self._model = self.create_publisher(String, "~/model", qos(1, latched=True))
 
     def _make_subscriptions(self) -> None:
         depth = 10 if self._lockstep else 1
         interface = self._config.command_interface
-        self._command_subscriptions = [self.create_subscription(
-            Float64MultiArray, f"{interface}_controller/commands", self._on_values, qos(depth))]
+        self._command_subscriptions = [
+            self.create_subscription(Float64MultiArray, f"{interface}_controller/commands", self._on_values, qos(depth))
+        ]
         if interface == "position":
             # messages that name different joints add up: none of them may push out another
-            self._command_subscriptions.append(self.create_subscription(
-                JointState, "joint_commands", self._on_joints, qos(10)))
+            self._command_subscriptions.append(
+                self.create_subscription(JointState, "joint_commands", self._on_joints, qos(10))
+            )
 
     # ---- commands
 
@@ -126,8 +127,7 @@ class SimNode(Node):
             self.get_logger().warning(f"command refused: {error}", throttle_duration_sec=1.0)
             return
         # while paused they come without end: what a later one covers is not kept
-        self._commands = [earlier for earlier in self._commands
-                          if command.names not in (None, earlier.names)]
+        self._commands = [earlier for earlier in self._commands if command.names not in (None, earlier.names)]
         self._commands.append(command)
         if self._lockstep and not self._paused:
             self._step()
@@ -205,8 +205,7 @@ class SimNode(Node):
 
     def _refusal(self) -> str | None:
         if self._failed_step is not None:
-            return f"refused: the state stopped being finite at step {self._failed_step}; " \
-                   "call ~/reset first"
+            return f"refused: the state stopped being finite at step {self._failed_step}; call ~/reset first"
         return None
 
     def _where(self) -> str:
@@ -254,9 +253,9 @@ class SimNode(Node):
             "command age [s]": f"{age * self._config.period:.9g}",
             "bag": self._bag.path,
         }
-        self._diagnostics.publish(diagnostics(self.get_clock().now().to_msg(),
-                                              self.get_fully_qualified_name(), level, text,
-                                              values))
+        self._diagnostics.publish(
+            diagnostics(self.get_clock().now().to_msg(), self.get_fully_qualified_name(), level, text, values)
+        )
 
     # ---- the loop
 
@@ -269,7 +268,8 @@ class SimNode(Node):
         gc.freeze()
         self.get_logger().info(
             f"{self._values['mode']}, commands on "
-            f"{self._command_subscriptions[0].topic_name}{', paused' if self._paused else ''}")
+            f"{self._command_subscriptions[0].topic_name}{', paused' if self._paused else ''}"
+        )
         self._pacer.restart()
         turn = self._turn_lockstep if self._lockstep else self._turn_realtime
         while not stopped():
@@ -296,8 +296,7 @@ class SimNode(Node):
         for subscription in self._command_subscriptions:
             for _ in range(_MOST_TAKEN):
                 with subscription.handle:
-                    taken = subscription.handle.take_message(subscription.msg_type,
-                                                             subscription.raw)
+                    taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
                 if taken is None:
                     break
                 subscription.callback(taken[0])
@@ -329,8 +328,7 @@ def _warm_up(config: SessionConfig) -> None:
 def _texts(config: SessionConfig) -> tuple[str, str]:
     """Model and URDF of a session, as they are published and recorded."""
     model = yaml.safe_dump(config.to_mapping(), sort_keys=False)
-    return model, arm_urdf(config.plant.arm, config.joint_names, config.frame_id,
-                           config.voltage_limit)
+    return model, arm_urdf(config.plant.arm, config.joint_names, config.frame_id, config.voltage_limit)
 
 
 def main(args=None) -> int:

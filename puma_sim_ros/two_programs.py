@@ -35,8 +35,7 @@ def environment(**more: str) -> dict[str, str]:
     return result
 
 
-def start(module: str, parameters: dict[str, object], log: Path, **variables: str
-          ) -> subprocess.Popen:
+def start(module: str, parameters: dict[str, object], log: Path, **variables: str) -> subprocess.Popen:
     """A program of this package with ROS parameters over those of its file in config/.
 
     variables : of its environment, beside those of `environment`.
@@ -45,14 +44,22 @@ def start(module: str, parameters: dict[str, object], log: Path, **variables: st
     if module in _WITH_FILE:
         words = ["--params-file", str(config_path(f"{module}.yaml")), *words]
     with open(log, "w", encoding="utf-8") as output:
-        return subprocess.Popen([sys.executable, "-m", f"puma_sim_ros.{module}", "--ros-args",
-                                 *words], stdout=output, stderr=subprocess.STDOUT,
-                                env=environment(**variables))
+        return subprocess.Popen(
+            [sys.executable, "-m", f"puma_sim_ros.{module}", "--ros-args", *words],
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            env=environment(**variables),
+        )
 
 
-def run_session(out: Path, node_parameters: dict[str, object], controller: str,
-                controller_parameters: dict[str, object], patience: float = PATIENCE,
-                **variables: str) -> tuple[Path, str]:
+def run_session(
+    out: Path,
+    node_parameters: dict[str, object],
+    controller: str,
+    controller_parameters: dict[str, object],
+    patience: float = PATIENCE,
+    **variables: str,
+) -> tuple[Path, str]:
     """Run `sim_node` until a controller has done its work.
 
     Parameters

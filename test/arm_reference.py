@@ -17,8 +17,7 @@ from puma_sim_core.plant import Plant
 from puma_sim_core.rigid_body import arm_table, coriolis, gravity_torque, inertia
 
 #: the values of the regression in the design notes
-VISCOUS = tuple(f"viscous_friction:joint={j},coefficient={h}"
-                for j, h in ((1, 0.3), (2, 0.5), (3, 0.2)))
+VISCOUS = tuple(f"viscous_friction:joint={j},coefficient={h}" for j, h in ((1, 0.3), (2, 0.5), (3, 0.2)))
 START = ((0.1, -0.4, 0.7), (0.3, -0.2, 0.5), (0.5, -1.0, 0.8))
 
 
@@ -45,8 +44,12 @@ def driving_torque(plant: Plant, q, qd, current) -> np.ndarray:
     """What accelerates the joints, dry friction and stops apart."""
     arm = plant.loaded_arm
     qd = np.asarray(qd)
-    return (np.array(plant.torque_per_ampere) * current - np.array(plant.viscous_friction) * qd
-            - np.einsum("ijk,j,k->i", coriolis(q, arm), qd, qd) - gravity_torque(q, arm))
+    return (
+        np.array(plant.torque_per_ampere) * current
+        - np.array(plant.viscous_friction) * qd
+        - np.einsum("ijk,j,k->i", coriolis(q, arm), qd, qd)
+        - gravity_torque(q, arm)
+    )
 
 
 def reduced_accelerations(M, b, given) -> np.ndarray:
@@ -61,8 +64,9 @@ def reduced_accelerations(M, b, given) -> np.ndarray:
 def right_hand_side(plant: Plant, voltage, given=(None, None, None), torque=None):
     """f(t, y) of y = (q, qd, i) for voltages held; torque(q, qd) acts at the joints besides."""
     motors = plant.arm.motors
-    R, L, ke, N = (np.array([getattr(m, name) for m in motors])
-                   for name in ("resistance", "inductance", "back_emf", "gear_ratio"))
+    R, L, ke, N = (
+        np.array([getattr(m, name) for m in motors]) for name in ("resistance", "inductance", "back_emf", "gear_ratio")
+    )
 
     def f(t, y):
         q, qd, current = y[:3], y[3:6], y[6:]

@@ -32,10 +32,7 @@ class State(NamedTuple):
 def numbers(key: object) -> tuple[float, ...]:
     """Three numbers that depend on ``key`` only; special ones among them."""
     source = random.Random(repr(key))
-    return tuple(
-        source.choice(SPECIAL) if source.random() < 0.1 else source.gauss(0.0, 1.0)
-        for _ in JOINTS
-    )
+    return tuple(source.choice(SPECIAL) if source.random() < 0.1 else source.gauss(0.0, 1.0) for _ in JOINTS)
 
 
 def state(step: int, period_ns: int = PERIOD_NS) -> State:

@@ -13,13 +13,22 @@ from html.parser import HTMLParser
 
 import pytest
 
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome",
-                                                "chrome"))), None)
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
 needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
 #: no screen, no sandbox (containers run as root), no look-ups of its own
-FLAGS = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-         "--disable-background-networking", "--disable-component-update", "--disable-sync",
-         "--hide-scrollbars", "--enable-logging=stderr", "--host-resolver-rules=MAP * ~NOTFOUND")
+FLAGS = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--hide-scrollbars",
+    "--enable-logging=stderr",
+    "--host-resolver-rules=MAP * ~NOTFOUND",
+)
 
 
 class Outline(HTMLParser):
@@ -95,8 +104,12 @@ addEventListener("load", () => {{
 
 def browse(path, folder, *flags):
     """Run Chromium on a file; returns its output and what it wrote to the console."""
-    done = subprocess.run([CHROMIUM, *FLAGS, f"--user-data-dir={folder / 'profile'}", *flags,
-                           path.as_uri()], capture_output=True, text=True, timeout=120)
+    done = subprocess.run(
+        [CHROMIUM, *FLAGS, f"--user-data-dir={folder / 'profile'}", *flags, path.as_uri()],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
     console = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
     return done.stdout, console
 
@@ -105,11 +118,11 @@ def probe(texts, folder, widths=(1280, 390)) -> list[tuple[str, int, dict]]:
     """What a browser finds in each page at each width [CSS pixels]: (text, width, found)."""
     asked = [(text, width) for text in texts for width in widths]
     path = folder / "probe.html"
-    path.write_text(PROBE.format(frames="\n".join(
-        FRAME.format(width=width, page=html.escape(text)) for text, width in asked)),
-        encoding="utf-8")
-    shown, console = browse(path, folder, "--window-size=1300,1000", "--virtual-time-budget=10000",
-                            "--dump-dom")
+    path.write_text(
+        PROBE.format(frames="\n".join(FRAME.format(width=width, page=html.escape(text)) for text, width in asked)),
+        encoding="utf-8",
+    )
+    shown, console = browse(path, folder, "--window-size=1300,1000", "--virtual-time-budget=10000", "--dump-dom")
     assert console == []
     found = json.loads(html.unescape(re.search(r'<pre id="found">(.*?)</pre>', shown, re.S)[1]))
     return [(*each, what) for each, what in zip(asked, found, strict=True)]

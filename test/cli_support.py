@@ -27,9 +27,13 @@ HEADER = "time,voltage1,voltage2,voltage3"
 def puma_sim(*arguments, **environment: str) -> subprocess.CompletedProcess:
     """The command as a process of its own."""
     path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
-    return subprocess.run([sys.executable, "-m", "puma_sim_core", *map(str, arguments)],
-                          capture_output=True, text=True, timeout=170,
-                          env={**os.environ, "PYTHONPATH": path, **environment})
+    return subprocess.run(
+        [sys.executable, "-m", "puma_sim_core", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=170,
+        env={**os.environ, "PYTHONPATH": path, **environment},
+    )
 
 
 def call(*arguments) -> int:
@@ -38,8 +42,7 @@ def call(*arguments) -> int:
 
 
 def write_volts(path, time, voltage) -> Path:
-    write_csv(Recording(time=np.asarray(time, dtype=float),
-                        voltage=np.asarray(voltage, dtype=float)), path)
+    write_csv(Recording(time=np.asarray(time, dtype=float), voltage=np.asarray(voltage, dtype=float)), path)
     return path
 
 
@@ -66,23 +69,26 @@ def random_volts(path, rows=150, amplitude=12.0, seed=3, row=0.004) -> Path:
 
 def contents(folder: Path) -> dict[str, bytes]:
     """All that is below a folder."""
-    return {str(path.relative_to(folder)): path.read_bytes()
-            for path in sorted(folder.rglob("*")) if path.is_file()}
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
-def record_session(path, config: SessionConfig, commands: dict, steps: int,
-                   change=lambda state: state) -> Path:
+def record_session(path, config: SessionConfig, commands: dict, steps: int, change=lambda state: state) -> Path:
     """A bag as the node writes it; `change(state)` may falsify what is written."""
     session = Session(config)
-    with BagRecorder(path, namespace="/", config_text=yaml_text(config.to_mapping()), urdf=None,
-                     joint_names=config.joint_names, frame_id=config.frame_id,
-                     command_interface=config.command_interface,
-                     period_ns=config.period_ns) as recorder:
+    with BagRecorder(
+        path,
+        namespace="/",
+        config_text=yaml_text(config.to_mapping()),
+        urdf=None,
+        joint_names=config.joint_names,
+        frame_id=config.frame_id,
+        command_interface=config.command_interface,
+        period_ns=config.period_ns,
+    ) as recorder:
         recorder.write_state(change(session.state))
         for step in range(steps):
             for names, values in commands.get(step, ()):
-                command = (session.command(values) if names is None
-                           else session.command_joints(names, values))
+                command = session.command(values) if names is None else session.command_joints(names, values)
                 recorder.write_command(session.state.time_ns, command)
             recorder.write_state(change(session.step()))
     return path

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import re
 
-from hypothesis import settings
 import pytest
+from hypothesis import settings
 
 # how long an example takes says nothing on a machine that does other work as well
 settings.register_profile("project", deadline=None)
@@ -19,8 +19,13 @@ settings.load_profile("project")
 
 
 def pytest_addoption(parser):
-    parser.addoption("--share", default=(1, 1), metavar="N/M", type=_share,
-                     help="of the files with tests marked long, every M-th from the N-th on")
+    parser.addoption(
+        "--share",
+        default=(1, 1),
+        metavar="N/M",
+        type=_share,
+        help="of the files with tests marked long, every M-th from the N-th on",
+    )
 
 
 def _share(text: str) -> tuple[int, int]:
@@ -34,7 +39,7 @@ def _share(text: str) -> tuple[int, int]:
 def pytest_collection_modifyitems(config, items):
     number, of = config.getoption("--share")
     long = [item for item in items if item.get_closest_marker("long")]
-    files = sorted({item.path for item in long})[number - 1::of]
+    files = sorted({item.path for item in long})[number - 1 :: of]
     others = {id(item) for item in long if item.path not in files}
     left = [item for item in items if id(item) in others]
     if left:

@@ -15,9 +15,19 @@ COUNT = 1.0e-4
 VOLT_STEP = 80.0 / 4096.0
 
 
-def record(gains, seed: int, *, samples: int = 4096, count: float = COUNT,
-           volt_step: float = VOLT_STEP, on_measurement: bool = False, limit: float = inf,
-           amplitude: float = 0.006, noise: float = 0.0, changed=None) -> ControllerLog:
+def record(
+    gains,
+    seed: int,
+    *,
+    samples: int = 4096,
+    count: float = COUNT,
+    volt_step: float = VOLT_STEP,
+    on_measurement: bool = False,
+    limit: float = inf,
+    amplitude: float = 0.006,
+    noise: float = 0.0,
+    changed=None,
+) -> ControllerLog:
     """A joint that goes to and fro; seeds differ in its speed and in where the counts lie.
 
     gains : Kg, Ti, Td; changed : gains of the second half. The sum includes the present error and
@@ -60,11 +70,9 @@ def write(log: ControllerLog, path, joint: int | None = None):
         if joint is None:
             columns[group] = values
         else:
-            columns |= {f"{group}{j}": values if j == joint else np.zeros(len(log))
-                        for j in (1, 2, 3)}
+            columns |= {f"{group}{j}": values if j == joint else np.zeros(len(log)) for j in (1, 2, 3)}
     rows = np.column_stack(list(columns.values())).tolist()
     # the last row's voltage is held by nobody
     rows.append([rows[-1][0] + log.period, *rows[-1][1:]])
-    path.write_text("".join(f"{line}\n" for line in [
-        ",".join(columns), *(",".join(map(repr, row)) for row in rows)]))
+    path.write_text("".join(f"{line}\n" for line in [",".join(columns), *(",".join(map(repr, row)) for row in rows)]))
     return path

@@ -31,8 +31,9 @@ def perturbed(seed: int, most: float = 0.08, viscous: float = 0.25) -> np.ndarra
     return mechanism.start * (1.0 + share * size)
 
 
-def waves(seed: int, joints=(1, 2, 3), size: float = 0.7, low: float = 0.1, high: float = 0.7
-          ) -> Callable[[np.ndarray], np.ndarray]:
+def waves(
+    seed: int, joints=(1, 2, 3), size: float = 0.7, low: float = 0.1, high: float = 0.7
+) -> Callable[[np.ndarray], np.ndarray]:
     """Setpoints (n, 3): three sines a joint, at rest in the beginning."""
     rng = np.random.default_rng((seed, 2))
     f, phase = rng.uniform(low, high, (3, 3)), rng.uniform(0.0, 2.0 * pi, (3, 3))
@@ -44,14 +45,15 @@ def waves(seed: int, joints=(1, 2, 3), size: float = 0.7, low: float = 0.1, high
             if j + 1 in joints:
                 for k in range(3):
                     turn = 2.0 * pi * f[j, k]
-                    out[:, j] += part[j, k] * (np.sin(turn * time + phase[j, k])
-                                               - np.sin(phase[j, k]))
+                    out[:, j] += part[j, k] * (np.sin(turn * time + phase[j, k]) - np.sin(phase[j, k]))
         return START + smooth_share(time / 1.5)[:, None] * out
+
     return at
 
 
-def moves(seed: int, joints=(1, 2, 3), rest: float = 0.8, duration: float = 1.0,
-          size: float = 0.7) -> Callable[[np.ndarray], np.ndarray]:
+def moves(
+    seed: int, joints=(1, 2, 3), rest: float = 0.8, duration: float = 1.0, size: float = 0.7
+) -> Callable[[np.ndarray], np.ndarray]:
     """Setpoints (n, 3): moves from point to point with rests between."""
     rng = np.random.default_rng((seed, 3))
     goals = rng.uniform(-size, size, (60, 3))
@@ -64,14 +66,27 @@ def moves(seed: int, joints=(1, 2, 3), rest: float = 0.8, duration: float = 1.0,
         number = np.minimum((time / (rest + duration)).astype(int), 59)
         share = smooth_share((time - number * (rest + duration) - rest) / duration)[:, None]
         return START + goals[number] * (1.0 - share) + goals[number + 1] * share
+
     return at
 
 
-def record(seed: int, setpoint, *, duration: float = 8.0, step: float = 0.001,
-           times: np.ndarray | None = None, effects: Sequence = (), theta=None,
-           terminal: Callable | None = None, measured: Callable | None = None,
-           dither: float = 0.0, gain: float = 1.0, quantum=QUANTUM,
-           noise: float = 0.05, name: str = "log") -> Log:
+def record(
+    seed: int,
+    setpoint,
+    *,
+    duration: float = 8.0,
+    step: float = 0.001,
+    times: np.ndarray | None = None,
+    effects: Sequence = (),
+    theta=None,
+    terminal: Callable | None = None,
+    measured: Callable | None = None,
+    dither: float = 0.0,
+    gain: float = 1.0,
+    quantum=QUANTUM,
+    noise: float = 0.05,
+    name: str = "log",
+) -> Log:
     """A log of the arm under a PD controller with gravity's volts from its integral.
 
     times : of the rows, for uneven sampling; terminal (time, volts, currents) -> volts at the

@@ -13,14 +13,14 @@ from __future__ import annotations
 
 import argparse
 import os
-from pathlib import Path
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
-from ament_index_python.packages import get_package_prefix
 import yaml
+from ament_index_python.packages import get_package_prefix
 
 PACKAGE = "puma_sim_ros"
 #: fewer states than this and the controller cannot have driven a path
@@ -45,11 +45,14 @@ def check_files(prefix: Path, out: Path) -> None:
             fail(f"share/{PACKAGE}/{name} is not in {prefix}")
     # a linked build leads to the checkout through the workspace's build folder
     workspace = prefix.parent.parent
-    code = ("import puma_sim_core, puma_sim_ros; from puma_sim_core.resources import config_path;"
-            "config_path('parameters', 'bejczy.yaml');"
-            "print(puma_sim_core.__file__); print(puma_sim_ros.__file__)")
-    found = subprocess.run([sys.executable, "-c", code], cwd=out, check=True, text=True,
-                           stdout=subprocess.PIPE).stdout.split("\n")
+    code = (
+        "import puma_sim_core, puma_sim_ros; from puma_sim_core.resources import config_path;"
+        "config_path('parameters', 'bejczy.yaml');"
+        "print(puma_sim_core.__file__); print(puma_sim_ros.__file__)"
+    )
+    found = subprocess.run(
+        [sys.executable, "-c", code], cwd=out, check=True, text=True, stdout=subprocess.PIPE
+    ).stdout.split("\n")
     for module in filter(None, found):
         if not Path(module).is_relative_to(workspace):
             fail(f"{module} is imported, which is not of the workspace {workspace}")
@@ -61,11 +64,23 @@ def drive(programs: Path, out: Path, seconds: float) -> Path:
     logs = out / "sim_node.log", out / "external_controller.log"
     with open(logs[0], "w") as node_log, open(logs[1], "w") as controller_log:
         node = subprocess.Popen(
-            [programs / "sim_node", "--ros-args", "-p", "mode:=lockstep",
-             "-p", "command_interface:=voltage", "-p", f"bag_path:={bag}"],
-            stdout=node_log, stderr=subprocess.STDOUT, cwd=out)
-        controller = subprocess.Popen([programs / "external_controller"],
-                                      stdout=controller_log, stderr=subprocess.STDOUT, cwd=out)
+            [
+                programs / "sim_node",
+                "--ros-args",
+                "-p",
+                "mode:=lockstep",
+                "-p",
+                "command_interface:=voltage",
+                "-p",
+                f"bag_path:={bag}",
+            ],
+            stdout=node_log,
+            stderr=subprocess.STDOUT,
+            cwd=out,
+        )
+        controller = subprocess.Popen(
+            [programs / "external_controller"], stdout=controller_log, stderr=subprocess.STDOUT, cwd=out
+        )
         try:
             deadline = time.monotonic() + seconds
             while controller.poll() is None and node.poll() is None:
@@ -96,13 +111,15 @@ def check_bag(programs: Path, bag: Path) -> str:
     if not metadata.exists():
         fail(f"{metadata} was not written")
     information = yaml.safe_load(metadata.read_text())["rosbag2_bagfile_information"]
-    counts = {topic["topic_metadata"]["name"]: topic["message_count"]
-              for topic in information["topics_with_message_count"]}
+    counts = {
+        topic["topic_metadata"]["name"]: topic["message_count"] for topic in information["topics_with_message_count"]
+    }
     states = max((n for name, n in counts.items() if name.endswith("joint_states")), default=0)
     if states < FEWEST_STATES:
         fail(f"the bag holds {states} joint states, expected {FEWEST_STATES} or more: {counts}")
-    replay = subprocess.run([programs / "puma-sim", "replay", bag], text=True,
-                            stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+    replay = subprocess.run(
+        [programs / "puma-sim", "replay", bag], text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+    )
     if replay.returncode != 0 or "identical" not in replay.stdout:
         fail(f"replay ended with status {replay.returncode}: {replay.stdout}")
     return f"{states} states; {replay.stdout.strip().splitlines()[-1]}"

@@ -22,8 +22,7 @@ def record(mechanism, plant, volts=0.0, noise=0.0, enable=None, seconds=SECONDS,
     of (time, state of the simulator) -> (J,) [V] more that the plant gets."""
     J, rng = mechanism.joints, np.random.default_rng(3)
     time = np.arange(0.0, seconds, STEP)
-    voltage = sum(a * np.sin(w * time[:, None] + w * np.arange(J))
-                  for a, w in ((3.0, 2.1), (2.0, 5.3)))
+    voltage = sum(a * np.sin(w * time[:, None] + w * np.arange(J)) for a, w in ((3.0, 2.1), (2.0, 5.3)))
     simulator = Simulator(plant, max_step=1e-3)
     simulator.reset(START[:J])
     given = voltage + volts * rng.standard_normal(voltage.shape)
@@ -35,8 +34,7 @@ def record(mechanism, plant, volts=0.0, noise=0.0, enable=None, seconds=SECONDS,
             position[k] = simulator.state[:3]
             simulator.step(given[k] + unlogged(t, simulator), STEP)
     on = None if enable is None else np.repeat(enable[:, None], J, axis=1)
-    return Log("own", time, voltage, position + noise * rng.standard_normal(voltage.shape),
-               enable=on)
+    return Log("own", time, voltage, position + noise * rng.standard_normal(voltage.shape), enable=on)
 
 
 def pieces(mechanism, log, volts=0.02, noise=1e-6, place=0.5):
@@ -48,9 +46,13 @@ def pieces(mechanism, log, volts=0.02, noise=1e-6, place=0.5):
         held = np.interp(log.time, of.sampled.time[of.kept], of.held.astype(float))
         return [lambda t: np.interp(t, log.time, held) > 0.5]
 
-    return problem, kept_back, Predictor([log], mechanism, kept_back(problem),
-                                         np.full(mechanism.joints, volts),
-                                         np.full(mechanism.joints, noise))
+    return (
+        problem,
+        kept_back,
+        Predictor(
+            [log], mechanism, kept_back(problem), np.full(mechanism.joints, volts), np.full(mechanism.joints, noise)
+        ),
+    )
 
 
 def validation(mechanism, log, volts=0.02, noise=1e-6):

@@ -16,13 +16,13 @@ import pytest
 
 rclpy = pytest.importorskip("rclpy")
 
-from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters  # noqa: E402
-from rclpy.context import Context  # noqa: E402
-from rclpy.executors import SingleThreadedExecutor  # noqa: E402
-from rclpy.parameter import Parameter  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
-from std_msgs.msg import Float64MultiArray  # noqa: E402
-from std_srvs.srv import SetBool, Trigger  # noqa: E402
+from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import SetBool, Trigger
 
 ROOT = Path(__file__).resolve().parent.parent
 DOMAIN = 1 + os.getpid() % 100
@@ -38,8 +38,13 @@ def environment() -> dict[str, str]:
     The model runs as plain Python, which gives the same bits and starts at once.
     """
     path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
-    return {**os.environ, "ROS_DOMAIN_ID": str(DOMAIN), "PYTHONPATH": path,
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PUMA_SIM_KERNEL": "python"}
+    return {
+        **os.environ,
+        "ROS_DOMAIN_ID": str(DOMAIN),
+        "PYTHONPATH": path,
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "PUMA_SIM_KERNEL": "python",
+    }
 
 
 def arguments(parameters: dict) -> list[str]:
@@ -50,17 +55,22 @@ def arguments(parameters: dict) -> list[str]:
 
 def run_program(module: str, *words: str) -> subprocess.CompletedProcess:
     """A program of the package until it ends, with its status and its texts."""
-    return subprocess.run([sys.executable, "-m", module, *words], env=environment(), text=True,
-                          capture_output=True, timeout=2 * PATIENCE)
+    return subprocess.run(
+        [sys.executable, "-m", module, *words], env=environment(), text=True, capture_output=True, timeout=2 * PATIENCE
+    )
 
 
 class Program:
     """A program of the package that runs beside the test; as a context, it must end well."""
 
     def __init__(self, module: str, *words: str) -> None:
-        self.process = subprocess.Popen([sys.executable, "-m", module, *words],
-                                        env=environment(), text=True, stdout=subprocess.PIPE,
-                                        stderr=subprocess.PIPE)
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", module, *words],
+            env=environment(),
+            text=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+        )
         self.output = self.errors = ""
 
     def __enter__(self):
@@ -94,8 +104,7 @@ class Node(Program):
 
     def __init__(self, namespace: str | None = None, **parameters) -> None:
         self.namespace = namespace or f"/t{os.getpid()}_{next(_names)}"
-        super().__init__("puma_sim_ros.sim_node", *arguments(parameters),
-                         "-r", f"__ns:={self.namespace}")
+        super().__init__("puma_sim_ros.sim_node", *arguments(parameters), "-r", f"__ns:={self.namespace}")
 
 
 class Peer:
@@ -115,16 +124,24 @@ class Peer:
         self.on_state = None
         node = self.node
         node.create_subscription(JointState, "joint_states", self._state, 100)
-        node.create_subscription(Float64MultiArray, "motor_currents",
-                                 lambda m: self.currents.append(tuple(m.data)), 100)
-        node.create_subscription(Float64MultiArray, "motor_voltages",
-                                 lambda m: self.voltages.append(tuple(m.data)), 100)
-        self.commands = node.create_publisher(Float64MultiArray,
-                                              f"{interface}_controller/commands", 10)
-        self.clients = {name: node.create_client(kind, f"sim_node/{name}") for name, kind in (
-            ("reset", Trigger), ("pause", SetBool), ("step", Trigger),
-            ("set_parameters", SetParameters), ("get_parameters", GetParameters),
-            ("describe_parameters", DescribeParameters))}
+        node.create_subscription(
+            Float64MultiArray, "motor_currents", lambda m: self.currents.append(tuple(m.data)), 100
+        )
+        node.create_subscription(
+            Float64MultiArray, "motor_voltages", lambda m: self.voltages.append(tuple(m.data)), 100
+        )
+        self.commands = node.create_publisher(Float64MultiArray, f"{interface}_controller/commands", 10)
+        self.clients = {
+            name: node.create_client(kind, f"sim_node/{name}")
+            for name, kind in (
+                ("reset", Trigger),
+                ("pause", SetBool),
+                ("step", Trigger),
+                ("set_parameters", SetParameters),
+                ("get_parameters", GetParameters),
+                ("describe_parameters", DescribeParameters),
+            )
+        }
 
     def _state(self, message: JointState) -> None:
         self.states.append(message)
@@ -155,10 +172,15 @@ class Peer:
 
         The simulator is then paused at step 0.
         """
-        self.wait_for(lambda: self.commands.get_subscription_count() > 0
-                      and all(client.service_is_ready() for client in self.clients.values())
-                      and self.node.count_publishers("joint_states") > 0
-                      and self.node.count_publishers("motor_voltages") > 0, "the simulator")
+        self.wait_for(
+            lambda: (
+                self.commands.get_subscription_count() > 0
+                and all(client.service_is_ready() for client in self.clients.values())
+                and self.node.count_publishers("joint_states") > 0
+                and self.node.count_publishers("motor_voltages") > 0
+            ),
+            "the simulator",
+        )
         # a service drops its answer when it has not yet found who asks: ask again until one comes,
         # by the client that was made last; the others are found then, too
         client = self.clients["describe_parameters"]
@@ -191,8 +213,7 @@ class Peer:
 
     def set(self, **values) -> list:
         """Set parameters; returns the results."""
-        messages = [Parameter(name, value=value).to_parameter_msg()
-                    for name, value in values.items()]
+        messages = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
         return self.call("set_parameters", parameters=messages).results
 
     def send(self, *values: float) -> None:
@@ -213,8 +234,7 @@ class Peer:
 
     def state_of(self, step: int) -> JointState:
         """After `fresh`: the state of a step; its arrays are ``voltages[step]`` and so on."""
-        self.wait_for(lambda: min(len(self.states), len(self.voltages),
-                                  len(self.currents)) > step, f"state {step}")
+        self.wait_for(lambda: min(len(self.states), len(self.voltages), len(self.currents)) > step, f"state {step}")
         assert step_of(self.states[step]) == step
         return self.states[step]
 

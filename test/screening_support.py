@@ -22,9 +22,11 @@ DRIVE = ARM.drive(THETA)
 
 def reference(time):
     """Smooth motion of all joints with many reversals, slow and fast parts: q, qd, qdd (n, 3)."""
-    parts = (((0.45, 1.7, 0.3), (0.10, 6.9, 1.0), (0.012, 25.0, 0.0)),
-             ((0.30, 1.3, 1.1), (0.09, 5.3, 0.2), (0.010, 29.0, 0.5)),
-             ((0.40, 2.1, 2.0), (0.08, 7.7, 0.9), (0.012, 31.0, 1.5)))
+    parts = (
+        ((0.45, 1.7, 0.3), (0.10, 6.9, 1.0), (0.012, 25.0, 0.0)),
+        ((0.30, 1.3, 1.1), (0.09, 5.3, 0.2), (0.010, 29.0, 0.5)),
+        ((0.40, 2.1, 2.0), (0.08, 7.7, 0.9), (0.012, 31.0, 1.5)),
+    )
     middle = (0.2, -0.5, 1.0)
     q, qd, qdd = (np.zeros((len(time), 3)) for _ in range(3))
     for j, waves in enumerate(parts):
@@ -48,8 +50,7 @@ def recorded(*effects: str, duration=4.0, change=None):
         voltage = change(voltage)
     plant = ARM.plant(THETA, tuple(parse_effect(text) for text in effects))
     simulator = Simulator(plant)
-    simulator.reset(position=q[0], velocity=qd[0],
-                    current=(voltage[0] - DRIVE.emf * qd[0]) / resistance())
+    simulator.reset(position=q[0], velocity=qd[0], current=(voltage[0] - DRIVE.emf * qd[0]) / resistance())
     return simulator.run(time, voltage, acceleration=True)
 
 
@@ -71,17 +72,35 @@ def signals_of(time, voltage, q, qd, qdd, current=None, **fields) -> Signals:
     total = link + DRIVE.motor_inertia * qdd + DRIVE.viscous * qd
     body = inertia(q, ARM.arm_of(THETA))
     made = Signals(
-        time=time, step=float(time[1] - time[0]), segment=np.zeros(len(time), int), voltage=held,
-        position=q, velocity=qd, acceleration=qdd, link_torque=link,
-        gravity_torque=ARM.gravity(THETA, q), torque=total,
+        time=time,
+        step=float(time[1] - time[0]),
+        segment=np.zeros(len(time), int),
+        voltage=held,
+        position=q,
+        velocity=qd,
+        acceleration=qdd,
+        link_torque=link,
+        gravity_torque=ARM.gravity(THETA, q),
+        torque=total,
         current=total / torque_per_ampere() if current is None else current,
-        enable=np.ones_like(q), link_inertia=np.diagonal(body, axis1=1, axis2=2).copy(),
-        motor_inertia=DRIVE.motor_inertia, viscous=DRIVE.viscous,
-        volts_per_torque=DRIVE.volts_per_torque, lag=DRIVE.lag, emf=DRIVE.emf, gear=ARM.gear,
-        torque_scale=ARM.torque_scale, velocity_noise=np.full(3, 1e-6), quantum=np.zeros(3),
-        ranges=ARM.ranges, gravity_tilt=ARM.gravity_tilt(THETA, q),
-        payload_torque=lambda z: ARM.payload_torque(THETA, z, q, qd, qdd), inertia=body,
-        position_gradient=gradient(q, qd, qdd), torque_per_ampere=torque_per_ampere())
+        enable=np.ones_like(q),
+        link_inertia=np.diagonal(body, axis1=1, axis2=2).copy(),
+        motor_inertia=DRIVE.motor_inertia,
+        viscous=DRIVE.viscous,
+        volts_per_torque=DRIVE.volts_per_torque,
+        lag=DRIVE.lag,
+        emf=DRIVE.emf,
+        gear=ARM.gear,
+        torque_scale=ARM.torque_scale,
+        velocity_noise=np.full(3, 1e-6),
+        quantum=np.zeros(3),
+        ranges=ARM.ranges,
+        gravity_tilt=ARM.gravity_tilt(THETA, q),
+        payload_torque=lambda z: ARM.payload_torque(THETA, z, q, qd, qdd),
+        inertia=body,
+        position_gradient=gradient(q, qd, qdd),
+        torque_per_ampere=torque_per_ampere(),
+    )
     return replace(made, **fields)
 
 
@@ -91,8 +110,7 @@ def gradient(q, qd, qdd, moved=1e-5):
     for j in range(3):
         by = np.zeros(3)
         by[j] = moved
-        out[:, :, j] = (ARM.torque(THETA, q + by, qd, qdd)
-                        - ARM.torque(THETA, q - by, qd, qdd)) / (2.0 * moved)
+        out[:, :, j] = (ARM.torque(THETA, q + by, qd, qdd) - ARM.torque(THETA, q - by, qd, qdd)) / (2.0 * moved)
     return out
 
 
@@ -106,8 +124,7 @@ def residual(signals: Signals) -> np.ndarray:
     """V - Vhat (n, 3)."""
     torque = signals.torque
     rate = np.gradient(torque, signals.step, axis=0, edge_order=2)
-    return signals.voltage - (signals.volts_per_torque * (torque + signals.lag * rate)
-                              + signals.emf * signals.velocity)
+    return signals.voltage - (signals.volts_per_torque * (torque + signals.lag * rate) + signals.emf * signals.velocity)
 
 
 def volts(signals: Signals, candidate, coefficients) -> np.ndarray:
@@ -117,7 +134,8 @@ def volts(signals: Signals, candidate, coefficients) -> np.ndarray:
         for j, values in column.items():
             if candidate.unit == TORQUE_COLUMN:
                 values = signals.volts_per_torque[j] * (
-                    values + signals.lag[j] * np.gradient(values, signals.step, edge_order=2))
+                    values + signals.lag[j] * np.gradient(values, signals.step, edge_order=2)
+                )
             out[:, j] += c * values
     return out
 
@@ -125,4 +143,5 @@ def volts(signals: Signals, candidate, coefficients) -> np.ndarray:
 def smoothed(values, signals, cutoff=25.0):
     """Values through the screening's kind of second filter: a low pass without shift in time."""
     from scipy.signal import butter, sosfiltfilt
+
     return sosfiltfilt(butter(3, cutoff, fs=1.0 / signals.step, output="sos"), values, axis=0)

@@ -86,8 +86,12 @@ print(json.dumps([BACKEND, result]))
 
 def python(program, **environment):
     changed = {**os.environ, **environment}
-    return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True,
-                          env={k: v for k, v in changed.items() if v is not None})
+    return subprocess.run(
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        env={k: v for k, v in changed.items() if v is not None},
+    )
 
 
 @pytest.mark.long
@@ -115,8 +119,9 @@ def test_the_environment_chooses_the_kernel():
 def test_an_unknown_kernel_is_an_error_that_says_what_there_is():
     done = python("import puma_sim_core.kernel", PUMA_SIM_KERNEL="bogus")
     assert done.returncode != 0
-    assert ("ParameterError: environment variable PUMA_SIM_KERNEL: kernel 'bogus'; "
-            "expected auto, numba or python") in done.stderr
+    assert (
+        "ParameterError: environment variable PUMA_SIM_KERNEL: kernel 'bogus'; expected auto, numba or python"
+    ) in done.stderr
 
 
 #: an environment without numba
@@ -124,10 +129,13 @@ HIDDEN = "import sys; sys.modules['numba'] = None; "
 
 
 def test_without_numba_the_kernel_is_plain_python():
-    done = python(HIDDEN + "from puma_sim_core.plant import Plant; "
-                  "from puma_sim_core.simulator import Simulator; "
-                  "print(Simulator(Plant.of()).step((1, 2, 3))[6:], "
-                  "__import__('puma_sim_core.backend').backend.BACKEND)", PUMA_SIM_KERNEL="auto")
+    done = python(
+        HIDDEN + "from puma_sim_core.plant import Plant; "
+        "from puma_sim_core.simulator import Simulator; "
+        "print(Simulator(Plant.of()).step((1, 2, 3))[6:], "
+        "__import__('puma_sim_core.backend').backend.BACKEND)",
+        PUMA_SIM_KERNEL="auto",
+    )
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip().endswith("python")
 
@@ -138,12 +146,14 @@ def test_asking_for_numba_where_there_is_none_is_an_error():
 
 
 def test_what_does_not_simulate_does_not_import_numba():
-    program = ("import sys; import puma_sim_core, puma_sim_core.parameters, "
-               "puma_sim_core.kinematics, puma_sim_core.rigid_body, puma_sim_core.third_order, "
-               "puma_sim_core.recording, puma_sim_core.bag; "
-               "from puma_sim_core.parameters import load_parameters; load_parameters('bejczy'); "
-               "print([name for name in sys.modules if name.partition('.')[0] in "
-               "('numba', 'llvmlite', 'scipy', 'rclpy')])")
+    program = (
+        "import sys; import puma_sim_core, puma_sim_core.parameters, "
+        "puma_sim_core.kinematics, puma_sim_core.rigid_body, puma_sim_core.third_order, "
+        "puma_sim_core.recording, puma_sim_core.bag; "
+        "from puma_sim_core.parameters import load_parameters; load_parameters('bejczy'); "
+        "print([name for name in sys.modules if name.partition('.')[0] in "
+        "('numba', 'llvmlite', 'scipy', 'rclpy')])"
+    )
     done = python(program)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "[]"
@@ -155,6 +165,7 @@ def test_what_does_not_simulate_does_not_import_numba():
 def copied_package(tmp_path):
     """Sources that may be changed, for the digest alone."""
     import shutil
+
     copy = tmp_path / "puma_sim_core"
     shutil.copytree(backend._PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))
     return copy
@@ -164,8 +175,17 @@ def test_a_change_of_any_compiled_source_is_another_cache(tmp_path, monkeypatch)
     copy = copied_package(tmp_path)
     monkeypatch.setattr(backend, "_PACKAGE", copy)
     digests = [backend._source_digest()]
-    for name in ("kernel.py", "contact.py", "runs.py", "lanes.py", "backend.py",
-                 "effects/friction.py", "effects/base.py", "control/pid.py", "control/servo.py"):
+    for name in (
+        "kernel.py",
+        "contact.py",
+        "runs.py",
+        "lanes.py",
+        "backend.py",
+        "effects/friction.py",
+        "effects/base.py",
+        "control/pid.py",
+        "control/servo.py",
+    ):
         with open(copy / name, "a", encoding="utf-8") as file:
             file.write("\n# changed\n")
         digests.append(backend._source_digest())
@@ -215,14 +235,17 @@ def test_without_a_folder_to_write_there_is_no_cache(tmp_path, monkeypatch):
 def test_a_kernel_without_a_cache_compiles_and_runs(tmp_path):
     # a path below a file cannot be made, by no user whatever
     (tmp_path / "file").write_text("")
-    done = python("from puma_sim_core.runs import terminal_voltages; "
-                  "from puma_sim_core.plant import Plant; "
-                  "from puma_sim_core.backend import _CACHE; "
-                  "from puma_sim_core.simulator import native; "
-                  "table = native(Plant.of().constants.table); "
-                  "print(_CACHE, terminal_voltages(1.0, 2.0, 3.0, table))",
-                  PUMA_SIM_KERNEL="numba", NUMBA_CACHE_DIR=None,
-                  XDG_CACHE_HOME=str(tmp_path / "file" / "below"))
+    done = python(
+        "from puma_sim_core.runs import terminal_voltages; "
+        "from puma_sim_core.plant import Plant; "
+        "from puma_sim_core.backend import _CACHE; "
+        "from puma_sim_core.simulator import native; "
+        "table = native(Plant.of().constants.table); "
+        "print(_CACHE, terminal_voltages(1.0, 2.0, 3.0, table))",
+        PUMA_SIM_KERNEL="numba",
+        NUMBA_CACHE_DIR=None,
+        XDG_CACHE_HOME=str(tmp_path / "file" / "below"),
+    )
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "None (1.0, 2.0, 3.0)"
 
@@ -230,7 +253,10 @@ def test_a_kernel_without_a_cache_compiles_and_runs(tmp_path):
 @pytest.mark.long
 @needs_numba
 def test_the_folder_of_other_users_of_numba_is_left_as_it_was(tmp_path):
-    done = python("import numba; before = numba.config.CACHE_DIR; import puma_sim_core.runs; "
-                  "print(numba.config.CACHE_DIR == before)",
-                  PUMA_SIM_KERNEL="numba", XDG_CACHE_HOME=str(tmp_path))
+    done = python(
+        "import numba; before = numba.config.CACHE_DIR; import puma_sim_core.runs; "
+        "print(numba.config.CACHE_DIR == before)",
+        PUMA_SIM_KERNEL="numba",
+        XDG_CACHE_HOME=str(tmp_path),
+    )
     assert done.stdout.strip() == "True", done.stderr

@@ -26,16 +26,12 @@ def mcap_of(bag):
 
 def recorded_commands(steps, command_interface, trailing=True):
     return [
-        (step, command)
-        for step in range(steps + trailing)
-        for command in sessions.commands(step, command_interface)
+        (step, command) for step in range(steps + trailing) for command in sessions.commands(step, command_interface)
     ]
 
 
 def assert_same_commands(found, expected):
-    assert [(step, command.names) for step, command in found] == [
-        (step, command.names) for step, command in expected
-    ]
+    assert [(step, command.names) for step, command in found] == [(step, command.names) for step, command in expected]
     for (_, one), (_, other) in zip(found, expected):
         assert sessions.bits(one.values) == sessions.bits(other.values)
 
@@ -46,9 +42,7 @@ def assert_contents(contents, steps, command_interface, trailing=True):
     for field in FIELDS:
         expected = [getattr(sessions.state(k), field) for k in range(steps + 1)]
         assert sessions.bits(getattr(contents, field).ravel()) == sessions.bits(np.ravel(expected))
-    assert_same_commands(
-        contents.commands, recorded_commands(steps, command_interface, trailing)
-    )
+    assert_same_commands(contents.commands, recorded_commands(steps, command_interface, trailing))
 
 
 @pytest.mark.parametrize("command_interface", ["voltage", "position"])
@@ -134,9 +128,7 @@ def test_messages_come_in_the_order_of_the_session(tmp_path):
         time_ns = step * sessions.PERIOD_NS
         topics = ["/joint_states", "/motor_currents", "/motor_voltages"]
         for command in sessions.commands(step, "position"):
-            topics.append(
-                "/joint_commands" if command.names else "/position_controller/commands"
-            )
+            topics.append("/joint_commands" if command.names else "/position_controller/commands")
         expected += [(topic, time_ns) for topic in topics]
     assert found == expected
 
@@ -169,11 +161,10 @@ def test_without_a_urdf_there_is_no_such_topic(tmp_path):
 
 
 def test_the_last_state_before_an_exception_is_in_the_bag(tmp_path):
-    with pytest.raises(RuntimeError, match="stop"):
-        with sessions.new_recorder(tmp_path / "run") as recorder:
-            recorder.write_state(sessions.state(0))
-            recorder.write_state(sessions.state(1))
-            raise RuntimeError("stop")
+    with pytest.raises(RuntimeError, match="stop"), sessions.new_recorder(tmp_path / "run") as recorder:
+        recorder.write_state(sessions.state(0))
+        recorder.write_state(sessions.state(1))
+        raise RuntimeError("stop")
     assert read_bag(tmp_path / "run").steps.tolist() == [0, 1]
 
 
@@ -190,12 +181,8 @@ def test_a_file_that_another_tool_wrote_anew_reads_the_same(tmp_path, compressio
         for schema, channel, message in make_reader(source).iter_messages():
             if channel.topic not in channels:
                 number = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[channel.topic] = writer.register_channel(
-                    channel.topic, "cdr", number, channel.metadata
-                )
-            writer.add_message(
-                channels[channel.topic], message.log_time, message.data, message.publish_time
-            )
+                channels[channel.topic] = writer.register_channel(channel.topic, "cdr", number, channel.metadata)
+            writer.add_message(channels[channel.topic], message.log_time, message.data, message.publish_time)
         writer.finish()
     assert_contents(read_bag(packed), 50, "position")
 

@@ -174,15 +174,10 @@ def test_a_missing_topic_is_named(tmp_path):
     bag = foreign_bag(tmp_path / "bare", ["/cell/sim_node/model"])
     with pytest.raises(BagError, match="/cell/voltage_controller/commands or /cell/position"):
         read_bag(bag)
-    bag = foreign_bag(
-        tmp_path / "more", ["/cell/sim_node/model", "/cell/voltage_controller/commands"]
-    )
+    bag = foreign_bag(tmp_path / "more", ["/cell/sim_node/model", "/cell/voltage_controller/commands"])
     with pytest.raises(BagError, match="topic /cell/joint_states: is missing"):
         read_bag(bag)
-    bag = foreign_bag(
-        tmp_path / "text",
-        ["/sim_node/model", "/voltage_controller/commands", "/joint_states"],
-    )
+    bag = foreign_bag(tmp_path / "text", ["/sim_node/model", "/voltage_controller/commands", "/joint_states"])
     with pytest.raises(BagError, match="/joint_states.*std_msgs/msg/String.*JointState"):
         read_bag(bag)
 
@@ -251,10 +246,7 @@ def change_metadata(bag, change):
             lambda info: info["topics_with_message_count"][2].update(message_count=3),
             "topic /joint_states: the file holds 4 messages; expected 3",
         ),
-        (
-            lambda info: info["topics_with_message_count"].pop(),
-            "topic /voltage_controller/commands: .* expected None",
-        ),
+        (lambda info: info["topics_with_message_count"].pop(), "topic /voltage_controller/commands: .* expected None"),
     ],
 )
 def test_metadata_that_disagrees_is_named(tmp_path, change, text):

@@ -131,9 +131,7 @@ def test_the_reader_for_web_pages_reads_the_file(bag):
     if not (node and folder and (Path(folder) / "@mcap" / "core").is_dir()):
         pytest.skip("PUMA_SIM_NODE_MODULES names no folder with @mcap/core, or node is missing")
     script = Path(__file__).parent / "bag_readers_js" / "read_bag.cjs"
-    done = subprocess.run(
-        [node, script, folder, mcap_of(bag)], capture_output=True, text=True, check=True
-    )
+    done = subprocess.run([node, script, folder, mcap_of(bag)], capture_output=True, text=True, check=True)
     found = []
     for line in done.stdout.splitlines():
         item = json.loads(line)
@@ -235,8 +233,7 @@ def test_metadata_has_every_key_of_version_9(bag):
     assert_information(information, files=1)
     expected = expected_messages(bag)
     counts = {
-        topic["topic_metadata"]["name"]: topic["message_count"]
-        for topic in information["topics_with_message_count"]
+        topic["topic_metadata"]["name"]: topic["message_count"] for topic in information["topics_with_message_count"]
     }
     assert sum(counts.values()) == information["message_count"] == len(expected)
     for topic, count in counts.items():
@@ -265,10 +262,7 @@ def test_the_mcap_file_has_the_form_of_rosbag2(bag):
     outer = stored_information(bag)
     assert inner == {**outer, "files": [], "relative_file_paths": []}
 
-    stored = {
-        topic["topic_metadata"]["name"]: topic["topic_metadata"]
-        for topic in outer["topics_with_message_count"]
-    }
+    stored = {topic["topic_metadata"]["name"]: topic["topic_metadata"] for topic in outer["topics_with_message_count"]}
     assert {channel.topic for channel in summary.channels.values()} == set(stored)
     for channel in summary.channels.values():
         schema = summary.schemas[channel.schema_id]

@@ -44,11 +44,16 @@ def alone(plant, voltage, position):
 
 def mixed_plants(runs: int) -> list[Plant]:
     """Plants of several sets; every third with effects, of which some need stages of their own."""
-    effects = [("coulomb_friction:joint=2,torque=8",), ("voltage_saturation:joint=1,voltage=15",),
-               ("presliding_friction:joint=3,torque=4", "payload:mass=2")]
+    effects = [
+        ("coulomb_friction:joint=2,torque=8",),
+        ("voltage_saturation:joint=1,voltage=15",),
+        ("presliding_friction:joint=3,torque=4", "payload:mass=2"),
+    ]
     plants = [Plant.of("paul" if r % 2 else "bejczy") for r in range(runs)]
-    return [replace(plant, effects=tuple(map(parse_effect, effects[r // 3 % 3])))
-            if r % 3 == 0 else plant for r, plant in enumerate(plants)]
+    return [
+        replace(plant, effects=tuple(map(parse_effect, effects[r // 3 % 3]))) if r % 3 == 0 else plant
+        for r, plant in enumerate(plants)
+    ]
 
 
 @pytest.mark.parametrize("runs", [1, 2, LANES, LANES + 1, 3 * LANES - 1])
@@ -58,8 +63,7 @@ def test_each_run_is_the_one_that_the_simulator_gives(runs):
     for r in range(runs):
         single = alone(plants[r], voltage[r], position[r])
         for name in ("position", "velocity", "current"):
-            np.testing.assert_allclose(getattr(batch, name)[r], getattr(single, name),
-                                       rtol=0, atol=1e-11)
+            np.testing.assert_allclose(getattr(batch, name)[r], getattr(single, name), rtol=0, atol=1e-11)
     assert batch.finite.all()
 
 
@@ -88,8 +92,7 @@ def test_what_is_given_once_serves_all_runs():
     position = starts(7, 9)
     plant, voltage = Plant.of(), volts(8)
     once = run_batch(plant, TIME, voltage, position=position)
-    each = run_batch([plant] * 9, TIME, np.stack([voltage] * 9), position=position,
-                     velocity=np.zeros((9, 3)))
+    each = run_batch([plant] * 9, TIME, np.stack([voltage] * 9), position=position, velocity=np.zeros((9, 3)))
     assert np.array_equal(once.position, each.position)
 
 
@@ -112,19 +115,23 @@ def test_a_run_that_blows_up_spoils_no_other():
 
 def test_progress_reaches_the_end():
     seen = []
-    run_batch(Plant.of(), TIME, volts(1), position=starts(1, 20),
-              progress=lambda done, total: seen.append((done, total)))
+    run_batch(
+        Plant.of(), TIME, volts(1), position=starts(1, 20), progress=lambda done, total: seen.append((done, total))
+    )
     assert seen[-1] == (20, 20) and seen == sorted(seen)
 
 
-@pytest.mark.parametrize("change, named", [
-    ({"voltage": np.zeros((4, len(TIME), 3))}, "the same number of runs"),
-    ({"position": np.zeros((5, 2))}, "the same number of runs"),
-    ({"voltage": np.full((len(TIME), 3), np.nan)}, "not finite"),
-    ({"voltage": np.zeros((2, 3))}, "shape"),
-    ({"time": TIME[::-1]}, "increas"),
-    ({"max_step": 0.009}, "8 ms"),
-])
+@pytest.mark.parametrize(
+    "change, named",
+    [
+        ({"voltage": np.zeros((4, len(TIME), 3))}, "the same number of runs"),
+        ({"position": np.zeros((5, 2))}, "the same number of runs"),
+        ({"voltage": np.full((len(TIME), 3), np.nan)}, "not finite"),
+        ({"voltage": np.zeros((2, 3))}, "shape"),
+        ({"time": TIME[::-1]}, "increas"),
+        ({"max_step": 0.009}, "8 ms"),
+    ],
+)
 def test_bad_input_is_named(change, named):
     arguments = {"time": TIME, "voltage": volts(1), "position": starts(1, 3)} | change
     time, voltage = arguments.pop("time"), arguments.pop("voltage")
@@ -141,19 +148,27 @@ def test_sine_and_cosine_of_the_lanes_are_within_an_ulp(x):
 
 @pytest.mark.skipif(BACKEND != "numba", reason="this process has no compiled kernel to leave out")
 def test_batches_run_on_processes_without_numba(tmp_path):
-    code = ("import numpy as np\n"
-            "from puma_sim_core.batch import run_batch\n"
-            "from puma_sim_core.plant import Plant\n"
-            "t = np.arange(0.0, 0.2, 0.028)\n"
-            "v = np.random.default_rng(1).uniform(-40, 40, (len(t), 3))\n"
-            "if __name__ == '__main__':\n"
-            "    b = run_batch(Plant.of(), t, v, position=np.eye(3), lanes=False, workers=2)\n"
-            "    print(b.position.tobytes().hex())\n")
+    code = (
+        "import numpy as np\n"
+        "from puma_sim_core.batch import run_batch\n"
+        "from puma_sim_core.plant import Plant\n"
+        "t = np.arange(0.0, 0.2, 0.028)\n"
+        "v = np.random.default_rng(1).uniform(-40, 40, (len(t), 3))\n"
+        "if __name__ == '__main__':\n"
+        "    b = run_batch(Plant.of(), t, v, position=np.eye(3), lanes=False, workers=2)\n"
+        "    print(b.position.tobytes().hex())\n"
+    )
     script = tmp_path / "batch.py"
     script.write_text(code)
     root = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-    said = [subprocess.run([sys.executable, str(script)], check=True, capture_output=True,
-                           text=True, env={**os.environ, "PUMA_SIM_KERNEL": kernel,
-                                           "PYTHONPATH": root}).stdout
-            for kernel in ("numba", "python")]
+    said = [
+        subprocess.run(
+            [sys.executable, str(script)],
+            check=True,
+            capture_output=True,
+            text=True,
+            env={**os.environ, "PUMA_SIM_KERNEL": kernel, "PYTHONPATH": root},
+        ).stdout
+        for kernel in ("numba", "python")
+    ]
     assert said[0] and said[0] == said[1]

@@ -10,8 +10,8 @@ import re
 import numpy as np
 import pytest
 
-from puma_sim_core.bench import (__main__ as bench, c_reference, casadi_peer, mujoco_peer, own,
-                                 pinocchio_peer, roboticstoolbox_peer, table)
+from puma_sim_core.bench import __main__ as bench
+from puma_sim_core.bench import c_reference, casadi_peer, mujoco_peer, own, pinocchio_peer, roboticstoolbox_peer, table
 from puma_sim_core.bench.measure import first_calls, measured, order_of_calls
 from puma_sim_core.bench.task import STEP, Row, Task, Unavailable
 from puma_sim_core.effects import parse_effect
@@ -20,8 +20,10 @@ from puma_sim_core.simulator import Simulator
 
 needs_compiler = pytest.mark.skipif(c_reference.compiler() is None, reason="no C compiler")
 
-VISCOUS = tuple(parse_effect(f"viscous_friction:joint={joint},coefficient={value}")
-                for joint, value in ((1, 0.3), (2, 0.5), (3, 0.2)))
+VISCOUS = tuple(
+    parse_effect(f"viscous_friction:joint={joint},coefficient={value}")
+    for joint, value in ((1, 0.3), (2, 0.5), (3, 0.2))
+)
 START = np.array([0.1, -0.4, 0.7, 0.3, -0.2, 0.5, 0.5, -1.0, 0.8])
 
 
@@ -40,19 +42,20 @@ def ours(task):
 def row(label="row", seconds=10.0, times=(1.0,), position=(0.0, 0.0, 0.0), **more):
     """A row that takes the given times, one after the other."""
     clock = iter(np.resize(times, 1000))
-    return Row(label, lambda: np.array(position), seconds,
-               measure=lambda: (float(next(clock)), np.array(position)), **more)
+    return Row(
+        label, lambda: np.array(position), seconds, measure=lambda: (float(next(clock)), np.array(position)), **more
+    )
 
 
 # the C reference
+
 
 @needs_compiler
 @pytest.mark.parametrize("effects", [(), VISCOUS], ids=["frictionless", "viscous"])
 @pytest.mark.parametrize("name", ["bejczy", "paul", "corke_armstrong_1994"])
 def test_c_reference_agrees_with_the_kernel(name, effects):
     task = held(Plant.of(name, effects))
-    np.testing.assert_allclose(c_reference.CReference().prepared(task)(), ours(task),
-                               rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(c_reference.CReference().prepared(task)(), ours(task), rtol=0.0, atol=1e-9)
 
 
 @needs_compiler
@@ -76,8 +79,10 @@ def test_without_a_compiler_the_c_rows_are_listed_as_missing(monkeypatch):
 
 # the peers
 
-@pytest.mark.parametrize("peer", [mujoco_peer, pinocchio_peer, roboticstoolbox_peer, casadi_peer],
-                         ids=lambda peer: peer.PACKAGES[0])
+
+@pytest.mark.parametrize(
+    "peer", [mujoco_peer, pinocchio_peer, roboticstoolbox_peer, casadi_peer], ids=lambda peer: peer.PACKAGES[0]
+)
 def test_peers_move_the_same_arm(peer):
     if not all(map(bench.installed, peer.PACKAGES)):
         pytest.skip(f"{peer.PACKAGES[0]} is not installed")
@@ -85,8 +90,7 @@ def test_peers_move_the_same_arm(peer):
     expected = ours(task)
     for peer_row in peer.rows(task):
         end = expected[round(peer_row.motion / STEP), :3]
-        np.testing.assert_allclose(peer_row.run(), end, rtol=0.0, atol=peer_row.tolerance,
-                                   err_msg=peer_row.label)
+        np.testing.assert_allclose(peer_row.run(), end, rtol=0.0, atol=peer_row.tolerance, err_msg=peer_row.label)
 
 
 def test_own_rows_move_the_same_arm():
@@ -94,8 +98,9 @@ def test_own_rows_move_the_same_arm():
     with own.helper(task) as child:
         for own_row in own.rows(task, child):
             if own_row.compared and own_row.motion == task.seconds:
-                np.testing.assert_allclose(own_row.measure()[1], ours(task)[-1, :3], rtol=0.0,
-                                           atol=own_row.tolerance, err_msg=own_row.label)
+                np.testing.assert_allclose(
+                    own_row.measure()[1], ours(task)[-1, :3], rtol=0.0, atol=own_row.tolerance, err_msg=own_row.label
+                )
 
 
 def test_task_moves_all_joints_far_enough_to_tell_arms_apart():
@@ -130,6 +135,7 @@ def test_our_own_failure_is_not_hidden():
 
 # measuring
 
+
 def test_a_round_calls_each_row_its_number_of_times_spread_over_the_round():
     rows = [row("often", calls=4), row("once"), row("as often", calls=4)]
     order = order_of_calls(rows, 0)
@@ -150,6 +156,7 @@ def test_first_calls_give_the_final_positions():
 
 # the table
 
+
 def test_ratios_are_taken_within_each_round():
     # the machine is ten times slower in the second of three rounds, and both rows feel it
     times = np.array([[1.0, 3.0], [10.0, 30.0], [2.0, 6.0]])
@@ -166,8 +173,7 @@ def test_shorter_and_longer_calls_are_scaled_to_the_same_simulated_time():
 
 
 def results_with(**more):
-    rows = [row("ours"), row("theirs", note="in steps of 2 ms", **more),
-            row("theirs too", note="in steps of 2 ms")]
+    rows = [row("ours"), row("theirs", note="in steps of 2 ms", **more), row("theirs too", note="in steps of 2 ms")]
     return table.results(rows, np.array([[0.002, 0.1, 1.0]]), [None, 2e-5, 1e-12], 10.0)
 
 
@@ -191,24 +197,27 @@ def test_the_same_arm_is_stated_with_the_worst_difference():
     assert text.startswith("same arm: worst difference 2.0e-05 rad at the end (theirs)")
 
 
-@pytest.mark.parametrize("value, text", [(0.0, "0"), (0.01234, "0.0123"), (1.0, "1.00"),
-                                         (2.346, "2.35"), (98.7, "98.7"), (1234.5, "1234")])
+@pytest.mark.parametrize(
+    "value, text", [(0.0, "0"), (0.01234, "0.0123"), (1.0, "1.00"), (2.346, "2.35"), (98.7, "98.7"), (1234.5, "1234")]
+)
 def test_numbers_have_three_digits_and_no_exponent(value, text):
     assert table.number(value) == text
 
 
 def test_targets_say_reached_not_reached_or_not_measured():
     spread = table.Spread.of([1.2, 1.1, 1.4])
-    targets = [table.Target("low enough", spread, True, 1.3),
-               table.Target("high enough", spread, False, 1.3),
-               table.Target("absent", None, True, 1.3)]
+    targets = [
+        table.Target("low enough", spread, True, 1.3),
+        table.Target("high enough", spread, False, 1.3),
+        table.Target("absent", None, True, 1.3),
+    ]
     assert [target.reached for target in targets] == [True, False, None]
     lines = table.targets_text(targets).splitlines()[2:]
-    assert [line.split("  ")[-1].strip() for line in lines] == ["reached", "not reached",
-                                                                "not measured"]
+    assert [line.split("  ")[-1].strip() for line in lines] == ["reached", "not reached", "not measured"]
 
 
 # the command
+
 
 def test_the_command_prints_one_table_and_writes_the_numbers(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(bench, "QUICK_SECONDS", 0.02)
@@ -217,8 +226,7 @@ def test_the_command_prints_one_table_and_writes_the_numbers(tmp_path, capsys, m
     monkeypatch.setattr(bench, "installed", lambda package: package == "numpy")
     monkeypatch.setattr(own, "import_seconds", lambda module: [0.1, 0.2, 0.3])
     path = tmp_path / "bench.json"
-    assert bench.main(["--quick", "--rounds", "1", "--peers", "mujoco,casadi",
-                       "--json", str(path)]) == 0
+    assert bench.main(["--quick", "--rounds", "1", "--peers", "mujoco,casadi", "--json", str(path)]) == 0
     output = capsys.readouterr()
     assert output.err == ""  # progress is for a terminal
     assert output.out.count("note") == 1
@@ -235,10 +243,14 @@ def test_the_command_prints_one_table_and_writes_the_numbers(tmp_path, capsys, m
     assert reached["import puma_sim_core without numba"] is True
 
 
-@pytest.mark.parametrize("arguments, complaint", [
-    (["--peers", "gazebo"], "unknown peer 'gazebo'; expected some of mujoco, pinocchio"),
-    (["--rounds", "0"], "--rounds: 0; expected 1 or more"),
-    (["--json", "no/such/folder/bench.json"], "no folder no/such/folder; expected one that is")])
+@pytest.mark.parametrize(
+    "arguments, complaint",
+    [
+        (["--peers", "gazebo"], "unknown peer 'gazebo'; expected some of mujoco, pinocchio"),
+        (["--rounds", "0"], "--rounds: 0; expected 1 or more"),
+        (["--json", "no/such/folder/bench.json"], "no folder no/such/folder; expected one that is"),
+    ],
+)
 def test_a_wrong_command_line_is_refused(arguments, complaint, capsys):
     with pytest.raises(SystemExit) as refused:
         bench.main(arguments)

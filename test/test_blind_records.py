@@ -5,11 +5,11 @@
 from __future__ import annotations
 
 import ast
+import json
+import pickle
 from collections import Counter
 from dataclasses import replace
-import json
 from pathlib import Path
-import pickle
 
 import numpy as np
 import pytest
@@ -35,28 +35,39 @@ def true_parameters(seed: int) -> arm_parameters.Parameters:
 
 def projects_plant(p, *texts: str) -> Plant:
     """The project's own plant with the parameters of a blind one."""
+
     def column(j, *names):
         return tuple(float(p[name][j]) for name in names)
 
     arm = load_parameters("bejczy")
-    links = tuple(replace(link, mass=float(p["m"][j]), centre=column(j, "x", "y", "z"),
-                          gyration_squared=column(j, "kxx", "kyy", "kzz"))
-                  for j, link in enumerate(arm.links))
-    motors = tuple(replace(motor, resistance=R, inductance=L, back_emf=ke, torque_constant=kt,
-                           inertia=Ia)
-                   for j, motor in enumerate(arm.motors)
-                   for R, L, ke, kt, Ia in [column(j, "R", "L", "ke", "kt", "Ia")])
-    viscous = [f"viscous_friction:joint={j + 1},coefficient={float(p['H'][j])!r}"
-               for j in range(3)]
-    return Plant(replace(arm, links=links, motors=motors),
-                 tuple(map(parse_effect, (*viscous, *texts))))
+    links = tuple(
+        replace(
+            link,
+            mass=float(p["m"][j]),
+            centre=column(j, "x", "y", "z"),
+            gyration_squared=column(j, "kxx", "kyy", "kzz"),
+        )
+        for j, link in enumerate(arm.links)
+    )
+    motors = tuple(
+        replace(motor, resistance=R, inductance=L, back_emf=ke, torque_constant=kt, inertia=Ia)
+        for j, motor in enumerate(arm.motors)
+        for R, L, ke, kt, Ia in [column(j, "R", "L", "ke", "kt", "Ia")]
+    )
+    viscous = [f"viscous_friction:joint={j + 1},coefficient={float(p['H'][j])!r}" for j in range(3)]
+    return Plant(replace(arm, links=links, motors=motors), tuple(map(parse_effect, (*viscous, *texts))))
 
 
 def test_the_generator_imports_nothing_of_the_project():
     for path in BLIND.glob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
-            names = ([alias.name for alias in node.names] if isinstance(node, ast.Import)
-                     else [node.module or ""] if isinstance(node, ast.ImportFrom) else [])
+            names = (
+                [alias.name for alias in node.names]
+                if isinstance(node, ast.Import)
+                else [node.module or ""]
+                if isinstance(node, ast.ImportFrom)
+                else []
+            )
             assert not any(name.startswith("puma_sim") for name in names), path.name
 
 
@@ -102,14 +113,26 @@ def quiet_run(name: str | None, seed: int, seconds: float, strength: float | Non
     placed = []
     if name:
         effect, joint = effects.EFFECTS[name], recipe.effects[0][1]
-        drawn = effects.scaled(effect, effect.draw(np.random.default_rng(seed), joint),
-                               min(strength or 1.5 * effect.start, effect.most(joint)))
+        drawn = effects.scaled(
+            effect,
+            effect.draw(np.random.default_rng(seed), joint),
+            min(strength or 1.5 * effect.start, effect.most(joint)),
+        )
         peak = generate._peaks(rig)[joint] if joint is not None else None
         placed = [(name, joint, effects.derived(name, drawn, peak, seconds))]
     plant = generate._plant(placed, None)
-    run = drives.simulate(rig.parameters, plant.mechanics, plant.table, plant.droop, plant.delay,
-                          rig.controller, rig.sampling, rig.noise, rig.torque_noise,
-                          quantised=False)
+    run = drives.simulate(
+        rig.parameters,
+        plant.mechanics,
+        plant.table,
+        plant.droop,
+        plant.delay,
+        rig.controller,
+        rig.sampling,
+        rig.noise,
+        rig.torque_noise,
+        quantised=False,
+    )
     return rig, placed, run
 
 
@@ -118,8 +141,11 @@ def again_by_the_project(rig, placed, run) -> np.ndarray:
     texts = []
     for name, joint, parameters in placed:
         parts = [] if joint is None else [f"joint={joint + 1}"]
-        parts += [f"{key}={value!r}" for key, value in parameters.items()
-                  if abs(value) != effects.NO_STOP or key not in ("lower", "upper")]
+        parts += [
+            f"{key}={value!r}"
+            for key, value in parameters.items()
+            if abs(value) != effects.NO_STOP or key not in ("lower", "upper")
+        ]
         parts += ["damping=0"] if name == "soft_stop" else []
         texts.append(f"{name}:{','.join(parts)}")
     p = rig.parameters
@@ -131,8 +157,7 @@ def again_by_the_project(rig, placed, run) -> np.ndarray:
             start[joint] = rig.controller.setpoint[0, joint]
     hold = arm_parameters.gravity(start[None], p)[0]
     simulator = Simulator(projects_plant(p, *texts))
-    simulator.reset(tuple(map(float, start)), None,
-                    tuple(map(float, hold / (arm_parameters.GEAR * p["kt"]))))
+    simulator.reset(tuple(map(float, start)), None, tuple(map(float, hold / (arm_parameters.GEAR * p["kt"]))))
     time = np.arange(len(run.commanded)) * rig.sampling.period
     return simulator.run(time, run.commanded).position
 
@@ -140,8 +165,7 @@ def again_by_the_project(rig, placed, run) -> np.ndarray:
 def test_without_effects_both_engines_move_alike():
     rig, placed, run = quiet_run(None, 2501, 3.0)
     assert np.ptp(run.motion, axis=0).min() > 0.05
-    np.testing.assert_allclose(again_by_the_project(rig, placed, run), run.motion,
-                               rtol=0.0, atol=1e-5)
+    np.testing.assert_allclose(again_by_the_project(rig, placed, run), run.motion, rtol=0.0, atol=1e-5)
 
 
 #: hysteresis of joints that stick makes no error grow; knocks of the teeth do, a little
@@ -193,8 +217,9 @@ def test_the_committed_set_is_small_and_complete():
     files = {path.stem for path in RECORDS.glob("*.csv")}
     assert files == set(answers) == {recipe.name for recipe in records.committed()}
     assert sum(path.stat().st_size for path in RECORDS.iterdir()) < 3_000_000
-    kinds = Counter("fault" if a["faults"] else "outside" if a["outside"]
-                    else len(a["effects"]) for a in answers.values())
+    kinds = Counter(
+        "fault" if a["faults"] else "outside" if a["outside"] else len(a["effects"]) for a in answers.values()
+    )
     assert min(kinds[kind] for kind in (0, 1, 2, "outside", "fault")) >= 2
     plain = [a for a in answers.values() if not a["faults"]]
     assert {a["feedback"] for a in plain} == {True, False}
@@ -212,8 +237,11 @@ def test_plans_are_deterministic_small_and_cover_every_name():
     for recipe in records.plan("pair", 2000, 40):
         (one, _), (other, _) = recipe.effects
         assert effects.EFFECTS[one].family != effects.EFFECTS[other].family
-    springs = [recipe for recipe in records.plan("pair", 2000, 1000)
-               if {name for name, _ in recipe.effects} == records.ONE_ANGLE]
+    springs = [
+        recipe
+        for recipe in records.plan("pair", 2000, 1000)
+        if {name for name, _ in recipe.effects} == records.ONE_ANGLE
+    ]
     assert springs and all(one[1] != other[1] for one, other in (r.effects for r in springs))
 
 
@@ -246,4 +274,4 @@ def test_a_fault_is_where_the_answer_says(kind):
         x, y = spoilt[fault["channel"]], before[fault["channel"]]
         good = row - 2 if kind == "reversed_time" else row - 1  # the row before came too early
         assert (x[:good] == y[:good]).all()
-        assert row > len(x) or not x[row - 1:row + 1].tolist() == y[row - 1:row + 1].tolist()
+        assert row > len(x) or not x[row - 1 : row + 1].tolist() == y[row - 1 : row + 1].tolist()

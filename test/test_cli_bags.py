@@ -19,12 +19,17 @@ from puma_sim_core.bag import messages, read_bag
 from puma_sim_core.session import SessionConfig
 
 STEPS = 60
-EFFECTS = ("coulomb_friction:joint=1,torque=9", "presliding_friction:joint=2,torque=4",
-           "payload:mass=1")
-VOLTS = {0: [(None, (12.0, -20.0, 7.0))], 9: [(None, (60.0, 0.0, -5.0)), (None, (8.0, 3.0, -0.0))],
-         30: [(None, (-4.0, -15.0, 2.0))]}
-SETPOINTS = {0: [(None, (0.2, -0.3, 0.1))], 7: [(("joint3", "joint1"), (0.4, 0.3))],
-             20: [(("joint2",), (-9.0,)), (None, (0.1, -0.1, 0.1))]}
+EFFECTS = ("coulomb_friction:joint=1,torque=9", "presliding_friction:joint=2,torque=4", "payload:mass=1")
+VOLTS = {
+    0: [(None, (12.0, -20.0, 7.0))],
+    9: [(None, (60.0, 0.0, -5.0)), (None, (8.0, 3.0, -0.0))],
+    30: [(None, (-4.0, -15.0, 2.0))],
+}
+SETPOINTS = {
+    0: [(None, (0.2, -0.3, 0.1))],
+    7: [(("joint3", "joint1"), (0.4, 0.3))],
+    20: [(("joint2",), (-9.0,)), (None, (0.1, -0.1, 0.1))],
+}
 
 
 @pytest.fixture(params=["voltage", "position"])
@@ -69,8 +74,7 @@ def test_another_process_and_the_other_kernel_replay_identical(recorded):
         assert "replay identical" in done.stdout
 
 
-@pytest.mark.parametrize("field, joint, unit", [("position", 2, "rad"), ("current", 1, "A"),
-                                                ("voltage", 3, "V")])
+@pytest.mark.parametrize("field, joint, unit", [("position", 2, "rad"), ("current", 1, "A"), ("voltage", 3, "V")])
 def test_the_first_step_that_differs_in_one_bit_is_named(tmp_path, capsys, field, joint, unit):
     def falsified(state):
         if state.step < 17:
@@ -104,8 +108,7 @@ def _states(bag):
     from puma_sim_core.session import SessionState
 
     found = read_bag(bag)
-    columns = (found.steps, found.time_ns, found.position, found.velocity, found.current,
-               found.voltage, found.effort)
+    columns = (found.steps, found.time_ns, found.position, found.velocity, found.current, found.voltage, found.effort)
     return [SessionState(*row) for row in zip(*(column.tolist() for column in columns))]
 
 
@@ -118,10 +121,12 @@ def test_bags_that_cannot_be_replayed_are_refused(tmp_path, capsys):
         writer.write(connection, 0, messages.encode_text("hello"))
     (tmp_path / "text.mcap").write_text("time,voltage1\n")
     (tmp_path / "empty").mkdir()
-    for name, says in (("other", ["other.mcap", "sim_node/model"]),
-                       ("nowhere", ["nowhere: does not exist"]),
-                       ("text.mcap", ["text.mcap", "is not an MCAP file"]),
-                       ("empty", ["empty: is not a bag", "metadata.yaml"])):
+    for name, says in (
+        ("other", ["other.mcap", "sim_node/model"]),
+        ("nowhere", ["nowhere: does not exist"]),
+        ("text.mcap", ["text.mcap", "is not an MCAP file"]),
+        ("empty", ["empty: is not a bag", "metadata.yaml"]),
+    ):
         refused(capsys, tmp_path, "replay", tmp_path / name, says=says)
 
 
@@ -129,21 +134,23 @@ def test_a_truncated_bag_is_refused_and_recover_is_named(recorded, tmp_path, cap
     data = mcap_of(recorded).read_bytes()
     for length in (len(data) - 1, 2 * len(data) // 3):
         mcap_of(recorded).write_bytes(data[:length])
-        refused(capsys, tmp_path, "replay", recorded,
-                says=[mcap_of(recorded).name, f"offset {length}", "puma-sim recover"])
+        refused(
+            capsys, tmp_path, "replay", recorded, says=[mcap_of(recorded).name, f"offset {length}", "puma-sim recover"]
+        )
 
 
-@pytest.mark.parametrize("change, says", [
-    (lambda m: m.update(format="puma-sim session 9"), ["session format 'puma-sim session 9'"]),
-    (lambda m: m["model"]["effects"].append({"name": "magic", "joint": 1}),
-     ["unknown effect 'magic'"]),
-    (lambda m: m["model"].update(format="puma-sim model 7"), ["format 'puma-sim model 7'"]),
-    (lambda m: m.update(gravity_compensation=True), ["gravity_compensation"]),
-    (lambda m: m["model"]["parameters"]["links"]["link1"]["mass"].update(unit="lb"), ["unit 'lb'"]),
-    (lambda m: m.update(period=0.3), ["10 ms", "8 ms"]),
-])
-def test_a_model_that_this_version_cannot_rebuild_is_refused(tmp_path, capsys, monkeypatch, change,
-                                                             says):
+@pytest.mark.parametrize(
+    "change, says",
+    [
+        (lambda m: m.update(format="puma-sim session 9"), ["session format 'puma-sim session 9'"]),
+        (lambda m: m["model"]["effects"].append({"name": "magic", "joint": 1}), ["unknown effect 'magic'"]),
+        (lambda m: m["model"].update(format="puma-sim model 7"), ["format 'puma-sim model 7'"]),
+        (lambda m: m.update(gravity_compensation=True), ["gravity_compensation"]),
+        (lambda m: m["model"]["parameters"]["links"]["link1"]["mass"].update(unit="lb"), ["unit 'lb'"]),
+        (lambda m: m.update(period=0.3), ["10 ms", "8 ms"]),
+    ],
+)
+def test_a_model_that_this_version_cannot_rebuild_is_refused(tmp_path, capsys, monkeypatch, change, says):
     """A later version may record what this one does not know: it says which version that was."""
     mapping = SessionConfig(plant_of(*EFFECTS)).to_mapping()
     change(mapping)
@@ -152,8 +159,7 @@ def test_a_model_that_this_version_cannot_rebuild_is_refused(tmp_path, capsys, m
     monkeypatch.setattr(SessionConfig, "to_mapping", lambda self: mapping)
     bag = record_session(tmp_path / "run", config, {}, 3)
     monkeypatch.undo()
-    refused(capsys, tmp_path, "replay", bag,
-            says=["sim_node/model", "recorded by version 7.1.0", *says])
+    refused(capsys, tmp_path, "replay", bag, says=["sim_node/model", "recorded by version 7.1.0", *says])
 
 
 # ------------------------------------------------------------------------------------- publish
@@ -162,15 +168,14 @@ def test_a_model_that_this_version_cannot_rebuild_is_refused(tmp_path, capsys, m
 def test_publishing_without_ros_says_what_is_missing(recorded, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "rclpy", None)
     monkeypatch.delitem(sys.modules, "puma_sim_ros.bag_publisher", raising=False)
-    refused(capsys, tmp_path, "replay", recorded, "--publish",
-            says=["replay --publish: rclpy cannot be imported", "ROS 2"])
+    refused(
+        capsys, tmp_path, "replay", recorded, "--publish", says=["replay --publish: rclpy cannot be imported", "ROS 2"]
+    )
 
 
 def test_the_rate_belongs_to_publishing(recorded, tmp_path, capsys):
-    refused(capsys, tmp_path, "replay", recorded, "--rate", "2",
-            says=["--rate 2 without --publish"])
-    refused(capsys, tmp_path, "replay", recorded, "--publish", "--rate", "x",
-            says=["--rate: 'x'", "a finite number"])
+    refused(capsys, tmp_path, "replay", recorded, "--rate", "2", says=["--rate 2 without --publish"])
+    refused(capsys, tmp_path, "replay", recorded, "--publish", "--rate", "x", says=["--rate: 'x'", "a finite number"])
 
 
 def test_publishing_goes_by_the_rate(recorded, capsys, monkeypatch):
@@ -194,7 +199,7 @@ def test_publishing_goes_by_the_rate(recorded, capsys, monkeypatch):
 
 def test_a_cut_bag_is_recovered_and_replays(recorded, tmp_path):
     data = mcap_of(recorded).read_bytes()
-    mcap_of(recorded).write_bytes(data[:3 * len(data) // 4])
+    mcap_of(recorded).write_bytes(data[: 3 * len(data) // 4])
     (recorded / "metadata.yaml").unlink()
     done = puma_sim("recover", recorded)
     assert done.returncode == 0 and done.stderr == "", done.stderr

@@ -52,12 +52,13 @@ def test_each_command_has_help(name, capsys):
 
 @pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["simulate", "--help"]])
 def test_help_loads_neither_numba_nor_numpy(arguments):
-    code = ("import sys\nfrom puma_sim_core.cli import main\n"
-            "try:\n    main(sys.argv[1:])\nfinally:\n"
-            "    print(sorted({'numba', 'numpy', 'scipy', 'rclpy', 'mcap'} & set(sys.modules)),"
-            " file=sys.stderr)")
-    done = subprocess.run([sys.executable, "-c", code, *arguments], cwd=ROOT, capture_output=True,
-                          text=True)
+    code = (
+        "import sys\nfrom puma_sim_core.cli import main\n"
+        "try:\n    main(sys.argv[1:])\nfinally:\n"
+        "    print(sorted({'numba', 'numpy', 'scipy', 'rclpy', 'mcap'} & set(sys.modules)),"
+        " file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code, *arguments], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0 and done.stderr == "[]\n", done.stderr
 
 
@@ -105,8 +106,7 @@ def test_a_listed_effect_has_its_equation_units_bounds_and_an_option_that_works(
 
 def test_what_cannot_be_listed_is_refused(tmp_path, capsys):
     assert call("list", "magic") == 2
-    assert "'magic' is not known; expected a parameter file, or one of bejczy" in \
-        capsys.readouterr().err
+    assert "'magic' is not known; expected a parameter file, or one of bejczy" in capsys.readouterr().err
     (tmp_path / "bad.yaml").write_text("name: 1\n")
     assert call("list", tmp_path / "bad.yaml") == 2
     assert "bad.yaml" in capsys.readouterr().err
@@ -131,9 +131,13 @@ def test_bench_gets_all_that_stands_behind_its_name(monkeypatch):
 
 def test_a_reader_that_goes_away_ends_it_quietly(tmp_path):
     volts = random_volts(tmp_path / "volts.csv", rows=5000)
-    process = subprocess.Popen([sys.executable, "-m", "puma_sim_core", "simulate", volts, "--out",
-                                "-", "--limits", "off"], cwd=ROOT, stdout=subprocess.PIPE,
-                               stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "puma_sim_core", "simulate", volts, "--out", "-", "--limits", "off"],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     assert process.stdout.readline().startswith("time,voltage1")
     process.stdout.close()
     assert process.wait(timeout=170) == 141
@@ -146,10 +150,13 @@ def test_ctrl_c_ends_it_with_130_and_leaves_nothing(tmp_path):
     write_volts(tmp_path / "volts.csv", 5.0 * np.arange(100_000), np.full((100_000, 3), 5.0))
     before = contents(tmp_path)
     ours, theirs = pty.openpty()
-    process = subprocess.Popen([sys.executable, "-m", "puma_sim_core", *ENDLESS], cwd=tmp_path,
-                               stdout=subprocess.PIPE, stderr=theirs,
-                               env={**os.environ, "PUMA_SIM_KERNEL": "python",
-                                    "PYTHONPATH": str(ROOT)})
+    process = subprocess.Popen(
+        [sys.executable, "-m", "puma_sim_core", *ENDLESS],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=theirs,
+        env={**os.environ, "PUMA_SIM_KERNEL": "python", "PYTHONPATH": str(ROOT)},
+    )
     os.close(theirs)
     seen = b""
     try:
@@ -189,7 +196,10 @@ def test_progress_is_one_line_on_a_terminal_and_nothing_elsewhere(monkeypatch):
         if file.isatty():
             assert "\n" not in text and text.endswith("\r\x1b[K")
             assert [part.split(",")[0] for part in text.split("\r\x1b[K")[1:4]] == [
-                "simulating:   0%", "simulating:  25%", "simulating: 100%"]
+                "simulating:   0%",
+                "simulating:  25%",
+                "simulating: 100%",
+            ]
         else:
             assert text == ""
 
@@ -208,6 +218,7 @@ def test_an_interrupt_anywhere_in_the_run_is_130(tmp_path, monkeypatch, capsys):
     (tmp_path / "run.csv").write_text("mine")
     before = contents(tmp_path)
     for name in ("read_csv", "write_rows"):
+
         def interrupted(*_, **__):
             raise KeyboardInterrupt
 

@@ -39,11 +39,14 @@ def test_a_file_reads_back_to_the_same_bits(tmp_path_factory, values):
 
 
 @settings(max_examples=300)
-@given(field=st.one_of(
-    st.text(alphabet="0123456789+-.eE_xXnaif \t'#\"", max_size=8),
-    st.text(max_size=4),
-    st.floats().map(repr),
-    st.decimals(allow_nan=False, allow_infinity=False).map(str)))
+@given(
+    field=st.one_of(
+        st.text(alphabet="0123456789+-.eE_xXnaif \t'#\"", max_size=8),
+        st.text(max_size=4),
+        st.floats().map(repr),
+        st.decimals(allow_nan=False, allow_infinity=False).map(str),
+    )
+)
 @example(field="1_0")
 @example(field="0x10")
 @example(field="１")
@@ -93,17 +96,20 @@ def test_writing_in_parts_loses_no_row(tmp_path, rows):
     assert seen[-1] == rows
     lines = (tmp_path / "run.csv").read_text().splitlines()
     assert len(lines) == rows + 1
-    assert lines[1:] == [",".join(map(repr, row)) for row in
-                         np.column_stack([recording.time, recording.voltage]).tolist()]
+    assert lines[1:] == [
+        ",".join(map(repr, row)) for row in np.column_stack([recording.time, recording.voltage]).tolist()
+    ]
 
 
 def test_a_fault_late_in_a_long_file_is_found(tmp_path):
     rows = [f"{t},1,2,3" for t in range(20000)]
-    for r, text, says in ((19999, "19999,1,x,3", "line 20001, column voltage2: 'x'"),
-                          (15000, "15000,1,nan,3", "line 15002, column voltage2: nan"),
-                          (12345, "12344,1,2,3", "line 12347, column time: time 12344.0"),
-                          (777, "777,1,2", "line 779: 3 fields")):
-        changed = [*rows[:r], text, *rows[r + 1:]]
+    for r, text, says in (
+        (19999, "19999,1,x,3", "line 20001, column voltage2: 'x'"),
+        (15000, "15000,1,nan,3", "line 15002, column voltage2: nan"),
+        (12345, "12344,1,2,3", "line 12347, column time: time 12344.0"),
+        (777, "777,1,2", "line 779: 3 fields"),
+    ):
+        changed = [*rows[:r], text, *rows[r + 1 :]]
         path = tmp_path / "long.csv"
         path.write_text("\n".join(["time,voltage1,voltage2,voltage3", *changed, ""]))
         with pytest.raises(RecordingError) as error:

@@ -7,11 +7,10 @@ from __future__ import annotations
 import json
 
 import pytest
-
-from puma_sim_core import loop
-
 from cli_support import call
 from loop_support import EXPLANATIONS, faulty, named
+
+from puma_sim_core import loop
 
 
 @pytest.fixture
@@ -19,10 +18,12 @@ def asked(monkeypatch):
     """What the analysis was asked for; it gives `asked["gives"]`."""
     seen = {"gives": named()}
 
-    def explain(logs, *, held_out=(), plant="puma560", parameters=None, model=None, columns=None,
-                seed=0, progress=None):
-        seen.update(logs=logs, held_out=held_out, plant=plant, parameters=parameters, model=model,
-                    columns=columns, seed=seed)
+    def explain(
+        logs, *, held_out=(), plant="puma560", parameters=None, model=None, columns=None, seed=0, progress=None
+    ):
+        seen.update(
+            logs=logs, held_out=held_out, plant=plant, parameters=parameters, model=model, columns=columns, seed=seed
+        )
         progress("screening", 0.5)
         return seen["gives"]
 
@@ -32,23 +33,50 @@ def asked(monkeypatch):
 
 def test_options_go_to_the_analysis_and_files_come_out(asked, tmp_path, capsys):
     out = tmp_path / "new" / "report"
-    assert call("explain", "a.csv", "b.csv", "--held-out", "c.csv", "d.csv", "--out", out,
-                "--plant", "pendulum", "--columns", "time=t_s, voltage1=motor_V",
-                "--columns", "position1=q=rad", "--seed", "7", "--model", "m.yaml") == 0
+    assert (
+        call(
+            "explain",
+            "a.csv",
+            "b.csv",
+            "--held-out",
+            "c.csv",
+            "d.csv",
+            "--out",
+            out,
+            "--plant",
+            "pendulum",
+            "--columns",
+            "time=t_s, voltage1=motor_V",
+            "--columns",
+            "position1=q=rad",
+            "--seed",
+            "7",
+            "--model",
+            "m.yaml",
+        )
+        == 0
+    )
     assert asked["logs"] == ["a.csv", "b.csv"] and asked["held_out"] == ["c.csv", "d.csv"]
     assert (asked["plant"], asked["model"], asked["seed"]) == ("pendulum", "m.yaml", 7)
     assert asked["columns"] == {"time": "t_s", "voltage1": "motor_V", "position1": "q=rad"}
     shown = capsys.readouterr()
     assert shown.out.splitlines() == [
-        named().sentence, *(str(out / name) for name in ("report.json", "report.html",
-                                                         "model.yaml"))]
+        named().sentence,
+        *(str(out / name) for name in ("report.json", "report.html", "model.yaml")),
+    ]
     assert json.loads((out / "report.json").read_text())["verdict"] == "NAMED"
 
 
 def test_defaults(asked, tmp_path):
     assert call("explain", "a.csv", "--out", tmp_path) == 0
-    assert [asked[name] for name in ("held_out", "plant", "parameters", "model", "columns", "seed")
-            ] == [[], "puma560", None, None, None, 0]
+    assert [asked[name] for name in ("held_out", "plant", "parameters", "model", "columns", "seed")] == [
+        [],
+        "puma560",
+        None,
+        None,
+        None,
+        0,
+    ]
 
 
 @pytest.mark.parametrize("name", EXPLANATIONS)
@@ -66,17 +94,21 @@ def test_a_fault_leaves_no_model_of_an_earlier_record(asked, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["report.html", "report.json"]
 
 
-@pytest.mark.parametrize("arguments, message", [
-    (["a.csv", "--seed", "x"], "--seed: 'x'; expected a whole number, 0 or more"),
-    (["a.csv", "--seed", "-1"], "--seed: '-1'; expected a whole number, 0 or more"),
-    (["a.csv", "--columns", "time"], "--columns: 'time'; expected OURS=THEIRS"),
-    (["a.csv", "--columns", "time=,voltage1=u"], "--columns: 'time='; expected OURS=THEIRS"),
-    (["a.csv", "--columns", "torque1=x"], "--columns: unknown column 'torque1'; expected time"),
-    (["a.csv", "--columns", "voltage0=x"], "--columns: unknown column 'voltage0'"),
-    (["a.csv", "--columns", "time=t,time=u"], "--columns: 'time' is given twice"),
-    (["a.csv", "--columns", "time=t,voltage1=t"], "--columns: 't' is given for two columns"),
-    (["a.csv", "b.csv", "./a.csv"], "./a.csv: stands twice; expected each log once"),
-    (["a.csv", "--held-out", "a.csv"], "a.csv: is to be fitted and held out")])
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        (["a.csv", "--seed", "x"], "--seed: 'x'; expected a whole number, 0 or more"),
+        (["a.csv", "--seed", "-1"], "--seed: '-1'; expected a whole number, 0 or more"),
+        (["a.csv", "--columns", "time"], "--columns: 'time'; expected OURS=THEIRS"),
+        (["a.csv", "--columns", "time=,voltage1=u"], "--columns: 'time='; expected OURS=THEIRS"),
+        (["a.csv", "--columns", "torque1=x"], "--columns: unknown column 'torque1'; expected time"),
+        (["a.csv", "--columns", "voltage0=x"], "--columns: unknown column 'voltage0'"),
+        (["a.csv", "--columns", "time=t,time=u"], "--columns: 'time' is given twice"),
+        (["a.csv", "--columns", "time=t,voltage1=t"], "--columns: 't' is given for two columns"),
+        (["a.csv", "b.csv", "./a.csv"], "./a.csv: stands twice; expected each log once"),
+        (["a.csv", "--held-out", "a.csv"], "a.csv: is to be fitted and held out"),
+    ],
+)
 def test_refused_with_what_and_where(arguments, message, asked, tmp_path, capsys):
     assert call("explain", *arguments, "--out", tmp_path / "out") == 2
     assert message in capsys.readouterr().err
@@ -94,10 +126,16 @@ def test_the_folder_is_checked_before_the_work(asked, tmp_path, capsys):
     assert "logs" not in asked
 
 
-@pytest.mark.parametrize("arguments", [
-    [], ["a.csv"], ["--out", "x"],
-    ["a.csv", "--out", "x", "--parameters", "bejczy", "--model", "m"],
-    ["a.csv", "--out", "x", "--held-out"]])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [],
+        ["a.csv"],
+        ["--out", "x"],
+        ["a.csv", "--out", "x", "--parameters", "bejczy", "--model", "m"],
+        ["a.csv", "--out", "x", "--held-out"],
+    ],
+)
 def test_wrong_command_lines(arguments, asked, capsys):
     with pytest.raises(SystemExit) as stop:
         call("explain", *arguments)

@@ -17,12 +17,15 @@ from cli_support import call, read_run, states
 
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.recording import Recording, write_csv
-from puma_sim_core.restart import (driven_current, local_motion, measured_state, run_windows,
-                                   window_starts)
+from puma_sim_core.restart import driven_current, local_motion, measured_state, run_windows, window_starts
 from puma_sim_core.simulator import Constraint, Simulator
 
-FRICTION = ("coulomb_friction:joint=1,torque=8", "asymmetric_coulomb_friction:joint=2,positive=9,"
-            "negative=6", "stribeck_friction:joint=3,torque=2", "coulomb_friction:joint=3,torque=6")
+FRICTION = (
+    "coulomb_friction:joint=1,torque=8",
+    "asymmetric_coulomb_friction:joint=2,positive=9,negative=6",
+    "stribeck_friction:joint=3,torque=2",
+    "coulomb_friction:joint=3,torque=6",
+)
 #: one count of the encoders at the joints [rad], 1000 counts a motor turn
 COUNT = 2.0 * np.pi / (1000.0 * np.array([62.55, 107.81, 53.63]))
 
@@ -61,8 +64,7 @@ def option_words(effects):
 
 def restart(log, folder, *options, interval=2.0):
     write_csv(log, folder / "log.csv")
-    assert call("simulate", folder / "log.csv", "--out", folder / "run.csv",
-                "--restart", interval, *options) == 0
+    assert call("simulate", folder / "log.csv", "--out", folder / "run.csv", "--restart", interval, *options) == 0
     return read_run(folder / "run.csv")
 
 
@@ -84,8 +86,7 @@ def test_a_complete_log_of_the_same_plant_has_no_error_at_all(log, tmp_path, cap
 
 
 def test_bristles_that_no_log_holds_go_on_from_window_to_window(tmp_path, capsys):
-    effects = ("presliding_friction:joint=1,stiffness=3e4,torque=9",
-               "presliding_friction:joint=2,torque=7")
+    effects = ("presliding_friction:joint=1,stiffness=3e4,torque=9", "presliding_friction:joint=2,torque=7")
     restart(simulated(plant_of(*effects), 0.005), tmp_path, *option_words(effects))
     assert not reported(capsys)[2].any()
 
@@ -93,8 +94,7 @@ def test_bristles_that_no_log_holds_go_on_from_window_to_window(tmp_path, capsys
 def test_positions_in_counts_of_the_encoder_are_enough(log, plant, tmp_path, capsys):
     """Velocities and currents are estimated: within 0.3 mrad at 1 and 5 ms, 1 mrad at 28 ms, where
     one row of 28 ms is all that is known of a dither of 200 ms."""
-    counted = Recording(time=log.time, voltage=log.voltage,
-                        position=np.round(log.position / COUNT) * COUNT)
+    counted = Recording(time=log.time, voltage=log.voltage, position=np.round(log.position / COUNT) * COUNT)
     run = restart(counted, tmp_path, *option_words((*VISCOUS, *FRICTION)))
     _, rms, worst = reported(capsys)
     slow = log.time[1] > 0.02
@@ -104,8 +104,7 @@ def test_positions_in_counts_of_the_encoder_are_enough(log, plant, tmp_path, cap
 
 
 def test_a_wrong_plant_shows(log, tmp_path, capsys):
-    counted = Recording(time=log.time, voltage=log.voltage,
-                        position=np.round(log.position / COUNT) * COUNT)
+    counted = Recording(time=log.time, voltage=log.voltage, position=np.round(log.position / COUNT) * COUNT)
     restart(counted, tmp_path, *option_words(VISCOUS))
     _, rms, worst = reported(capsys)
     assert (rms > 4e-3).all() and (worst > 1e-2).all()
@@ -121,12 +120,12 @@ def test_the_errors_are_those_of_each_window_run_by_itself(plant, tmp_path, caps
     for first, last in zip(edges[:-1], edges[1:]):
         simulator = Simulator(wrong)
         simulator.reset(*np.split(states(log)[first], 3))
-        alone = simulator.run(log.time[first:last + 1], log.voltage[first:last + 1])
+        alone = simulator.run(log.time[first : last + 1], log.voltage[first : last + 1])
         assert np.array_equal(states(run)[first:last], states(alone)[:-1])
-        error.append((alone.position - log.position[first:last + 1])[1:])
+        error.append((alone.position - log.position[first : last + 1])[1:])
     error = np.vstack(error)
     assert windows == 4
-    np.testing.assert_allclose(rms, np.sqrt((error ** 2).mean(axis=0)), rtol=1e-3)
+    np.testing.assert_allclose(rms, np.sqrt((error**2).mean(axis=0)), rtol=1e-3)
     np.testing.assert_allclose(worst, np.abs(error).max(axis=0), rtol=1e-3)
     assert np.array_equal(run.position[-1], alone.position[-1])
 
@@ -136,8 +135,7 @@ def test_an_unevenly_sampled_log_works(plant, tmp_path, capsys):
     time, voltage = excitation(6.0, 0.005)
     kept = np.sort(random.choice(len(time), len(time) * 3 // 4, replace=False))
     log = Simulator(plant).run(time[kept], voltage[kept])
-    restart(Recording(log.time, log.voltage, log.position), tmp_path,
-            *option_words((*VISCOUS, *FRICTION)))
+    restart(Recording(log.time, log.voltage, log.position), tmp_path, *option_words((*VISCOUS, *FRICTION)))
     _, _, worst = reported(capsys)
     assert (worst < 1e-3).all()
 
@@ -145,8 +143,7 @@ def test_an_unevenly_sampled_log_works(plant, tmp_path, capsys):
 def test_a_joint_can_be_held(plant, tmp_path, capsys):
     held = (Constraint(), Constraint("hold"), Constraint())
     log = Simulator(plant, constraints=held).run(*excitation(4.0, 0.005))
-    run = restart(log, tmp_path, *option_words((*VISCOUS, *FRICTION)), "--constrain",
-                  "joint2=hold", interval=1.0)
+    run = restart(log, tmp_path, *option_words((*VISCOUS, *FRICTION)), "--constrain", "joint2=hold", interval=1.0)
     assert not reported(capsys)[2].any() and not run.velocity[:, 1].any()
 
 
@@ -195,7 +192,7 @@ def test_a_cubic_motion_gives_its_derivatives_at_any_row_and_spacing():
     c = random.normal(size=(4, 3)) * [[1.0], [1.0], [10.0], [100.0]]
     for degree, rows in ((3, range(1, 199)), (2, (0, 199))):
         t = time[:, None]
-        position = sum(c[n] * t ** n for n in range(degree + 1))
+        position = sum(c[n] * t**n for n in range(degree + 1))
         for row in rows:
             velocity, acceleration = local_motion(time, position, row)
             v = sum(n * c[n] * time[row] ** (n - 1) for n in range(1, degree + 1))
@@ -244,8 +241,10 @@ def test_the_current_of_constant_motion_is_exact(plant):
     voltage = random.uniform(-20.0, 20.0, (80, 3))
     velocity = np.array([0.7, -0.3, 1.1])
     motors = plant.arm.motors
-    R, L, k = (np.array([f(m) for m in motors]) for f in (
-        lambda m: m.resistance, lambda m: m.inductance, lambda m: m.back_emf * m.gear_ratio))
+    R, L, k = (
+        np.array([f(m) for m in motors])
+        for f in (lambda m: m.resistance, lambda m: m.inductance, lambda m: m.back_emf * m.gear_ratio)
+    )
     current = (voltage[0] - k * velocity) / R
     for r in range(80):
         estimate = driven_current(plant, time, voltage, r, velocity, np.zeros(3))

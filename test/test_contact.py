@@ -9,8 +9,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from arm_reference import (arm_of, bits, driving_torque, energy, mass_matrix, open_circuit,
-                           plant_of)
+from arm_reference import arm_of, bits, driving_torque, energy, mass_matrix, open_circuit, plant_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
@@ -36,8 +35,10 @@ def coulomb(*torques):
 
 
 def asymmetric(pairs):
-    return [f"asymmetric_coulomb_friction:joint={j},positive={p!r},negative={n!r}"
-            for j, (p, n) in enumerate(pairs, start=1)]
+    return [
+        f"asymmetric_coulomb_friction:joint={j},positive={p!r},negative={n!r}"
+        for j, (p, n) in enumerate(pairs, start=1)
+    ]
 
 
 def alone(joint):
@@ -65,8 +66,9 @@ def test_below_its_friction_an_arm_stays_at_rest_for_an_hour_bit_for_bit():
 
 
 def test_at_rest_without_volts_gravity_is_held_for_an_hour():
-    simulator = Simulator(plant_of(*coulomb(1.0, 70.0, 12.0),
-                                   *[f"stribeck_friction:joint={j},torque=1" for j in (1, 2, 3)]))
+    simulator = Simulator(
+        plant_of(*coulomb(1.0, 70.0, 12.0), *[f"stribeck_friction:joint={j},torque=1" for j in (1, 2, 3)])
+    )
     simulator.reset((0.1, 0.2, 0.7))
     simulator.step((0.0, 0.0, 0.0), HOUR)
     assert bits(simulator.state) == bits([0.1, 0.2, 0.7] + [0.0] * 6)
@@ -126,8 +128,9 @@ def test_breakaway_time_is_located_far_below_a_step(joint, step):
         torque = kT * y[2] - gravity_torque(q, plant.arm)[joint] - level
         return [y[1], torque / inertia, (volts[joint] - 1.6 * y[2] - ke * y[1]) / 0.0048]
 
-    run = solve_ivp(slide, (start, 0.008), [position[joint], 0.0, (gravity + level) / kT],
-                    method="DOP853", rtol=1e-12, atol=1e-14)
+    run = solve_ivp(
+        slide, (start, 0.008), [position[joint], 0.0, (gravity + level) / kT], method="DOP853", rtol=1e-12, atol=1e-14
+    )
     acceleration = slide(0.0, run.y[:, -1])[1]
     error = abs(simulator.state[3 + joint] - run.y[1, -1]) / acceleration
     # what remains is the truncation of the step before it, 16-fold smaller for each halving
@@ -152,8 +155,10 @@ def decision(M, b, pairs, moving):
         if free:
             a[free] = np.linalg.solve(M[np.ix_(free, free)], (b - level)[free])
         load = b - M @ a
-        if all(m or (s * a[j] > 0.0 if s else -pair[1] <= load[j] <= pair[0])
-               for j, (m, s, pair) in enumerate(zip(moving, states, pairs))):
+        if all(
+            m or (s * a[j] > 0.0 if s else -pair[1] <= load[j] <= pair[0])
+            for j, (m, s, pair) in enumerate(zip(moving, states, pairs))
+        ):
             found.append((states, a))
     return found
 
@@ -165,8 +170,7 @@ def test_stick_and_slip_of_three_joints_is_the_only_consistent_choice(q, load, v
     plant = plant_of(*asymmetric(pairs))
     q, velocity = 3.0 * q, 0.4 * np.array(moving)
     current = (gravity_torque(q, plant.arm) + 60.0 * load) / (1.6 * DRIVE)
-    choices = decision(mass_matrix(plant, q), driving_torque(plant, q, velocity, current), pairs,
-                       moving)
+    choices = decision(mass_matrix(plant, q), driving_torque(plant, q, velocity, current), pairs, moving)
     simulator = Simulator(plant)
     simulator.reset(q, velocity, current)
     got = simulator.run([0.0, 1e-4], np.zeros((2, 3)), acceleration=True).acceleration[0]
@@ -220,13 +224,13 @@ def test_friction_never_makes_energy(q, qd, values, bump):
 
 
 @settings(max_examples=40)
-@given(joint=st.integers(0, 2), speed=st.floats(0.01, 1), volts=numbers,
-       level=st.floats(20, 60), bump=st.floats(0, 10))
+@given(joint=st.integers(0, 2), speed=st.floats(0.01, 1), volts=numbers, level=st.floats(20, 60), bump=st.floats(0, 10))
 def test_a_joint_stops_for_good_where_friction_exceeds_the_drive(joint, speed, volts, level, bump):
     # No gravity, and no back-EMF, whose current outlasts the motion. A reversal that skipped the
     # decision to stick would move on.
-    plant = plant_of(f"coulomb_friction:joint={joint + 1},torque={level}",
-                     f"stribeck_friction:joint={joint + 1},torque={bump}")
+    plant = plant_of(
+        f"coulomb_friction:joint={joint + 1},torque={level}", f"stribeck_friction:joint={joint + 1},torque={bump}"
+    )
     plant = open_circuit(Plant(replace(plant.arm, gravity=0.0), plant.effects))
     drive = np.zeros(3)
     drive[joint] = 0.8 * volts * level / DRIVE[joint]
@@ -241,16 +245,13 @@ def test_a_joint_stops_for_good_where_friction_exceeds_the_drive(joint, speed, v
     assert stopped > 0 and not velocity[stopped:].any()
 
 
-@pytest.mark.parametrize("constraint", [HOLD, Constraint("velocity", 0.4),
-                                        Constraint("acceleration", -0.8)])
+@pytest.mark.parametrize("constraint", [HOLD, Constraint("velocity", 0.4), Constraint("acceleration", -0.8)])
 def test_dry_friction_of_a_constrained_joint_changes_nothing(constraint):
     time, volts = np.arange(0.0, 1.0, 0.02), np.tile((5.0, -3.0, 8.0), (50, 1))
     found = []
     for effects in ([], coulomb(0.0, 30.0) + ["stribeck_friction:joint=2,torque=5"]):
-        simulator = Simulator(plant_of(*effects),
-                              constraints=[Constraint(), constraint, Constraint()])
-        simulator.reset((0.1, -0.3, 0.5), None if constraint.kind != "acceleration"
-                        else (0.0, 0.2, 0.0))
+        simulator = Simulator(plant_of(*effects), constraints=[Constraint(), constraint, Constraint()])
+        simulator.reset((0.1, -0.3, 0.5), None if constraint.kind != "acceleration" else (0.0, 0.2, 0.0))
         found.append(simulator.run(time, volts))
     assert bits(found[0].position) == bits(found[1].position)
     assert bits(found[0].velocity) == bits(found[1].velocity)

@@ -13,10 +13,10 @@ from arm_reference import arm_of, bits, plant_of
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from puma_sim_core.backend import interpreted
 from puma_sim_core.control.pid import Pid, PidGains
 from puma_sim_core.control.servo import ServoConfig, quantised
 from puma_sim_core.control.setpoints import smooth_share, straight_line, vertical_line
-from puma_sim_core.backend import interpreted
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.inverse_kinematics import wrist_angles
 from puma_sim_core.kinematics import wrist_position
@@ -29,8 +29,7 @@ gains = st.builds(PidGains, st.floats(0.1, 5e3), st.floats(0.01, 10), st.floats(
 
 
 def outputs(pid, setpoints, measurements):
-    return [pid.update(k * pid.period, [r], [y])[0]
-            for k, (r, y) in enumerate(zip(setpoints, measurements))]
+    return [pid.update(k * pid.period, [r], [y])[0] for k, (r, y) in enumerate(zip(setpoints, measurements))]
 
 
 # --------------------------------------------------------------------------------------- the law
@@ -42,8 +41,9 @@ def test_pid_is_the_positional_form_with_its_sum(g, e):
     found = outputs(Pid([g], h), e, [0.0] * len(e))
     for k, u in enumerate(found):
         before = e[k - 1] if k else e[0]
-        expected = g.gain * (e[k] + h / g.integral_time * math.fsum(e[:k + 1])
-                             + g.derivative_time / h * (e[k] - before))
+        expected = g.gain * (
+            e[k] + h / g.integral_time * math.fsum(e[: k + 1]) + g.derivative_time / h * (e[k] - before)
+        )
         assert u == pytest.approx(expected, rel=1e-9, abs=1e-9 * g.gain)
 
 
@@ -54,12 +54,14 @@ def test_pid_equals_the_recursive_form_while_it_is_not_limited(g, e):
     q0 = g.gain * (1.0 + g.derivative_time / h)
     q1 = -g.gain * (1.0 + 2.0 * g.derivative_time / h - h / g.integral_time)
     q2 = g.gain * g.derivative_time / h
-    found = [u - g.gain * h / g.integral_time * x
-             for u, x in zip(outputs(Pid([g], h), e, [0.0] * len(e)), e)]
+    found = [u - g.gain * h / g.integral_time * x for u, x in zip(outputs(Pid([g], h), e, [0.0] * len(e)), e)]
     assert found[0] == pytest.approx(g.gain * e[0], abs=1e-9 * g.gain)
     for k in range(2, len(e)):
-        assert found[k] == pytest.approx(found[k - 1] + q0 * e[k] + q1 * e[k - 1] + q2 * e[k - 2],
-                                         rel=1e-9, abs=1e-8 * g.gain * (1 + g.derivative_time / h))
+        assert found[k] == pytest.approx(
+            found[k - 1] + q0 * e[k] + q1 * e[k - 1] + q2 * e[k - 2],
+            rel=1e-9,
+            abs=1e-8 * g.gain * (1 + g.derivative_time / h),
+        )
     # and back from them
     assert q0 - q2 == pytest.approx(g.gain)
     assert g.gain * h / (q0 + q1 + q2) == pytest.approx(g.integral_time, rel=1e-6)
@@ -107,27 +109,30 @@ def test_joints_do_not_know_of_each_other():
         assert together == tuple(p.update(0.01 * k, [a], [b])[0] for p, a, b in zip(alone, r, y))
 
 
-@pytest.mark.parametrize("make, message", [
-    (lambda: PidGains(-1.0), "gain = -1.0; expected a number of at least 0"),
-    (lambda: PidGains(math.nan), "gain = nan"),
-    (lambda: PidGains(math.inf), "gain = inf"),
-    (lambda: PidGains("5"), "gain = '5'"),
-    (lambda: PidGains(True), "gain = True"),
-    (lambda: PidGains(1.0, 0.0), "integral_time = 0.0; expected a number of at least 1e-09"),
-    (lambda: PidGains(1.0, 1.0, -0.1), "derivative_time = -0.1"),
-    (lambda: Pid(GAINS, 0.0), "period = 0.0; expected seconds, positive"),
-    (lambda: Pid(GAINS, 0.01, limit=0.0), "limit = 0.0; expected volts, positive"),
-    (lambda: Pid(GAINS, 0.01, limit=math.nan), "limit = nan"),
-    (lambda: Pid(GAINS, 0.01).update(0.0, [0.0], [0.0] * 3), "expected 3 of each"),
-    (lambda: ServoConfig(gains=GAINS[:2]), "servo: gains .* expected PidGains of three joints"),
-    (lambda: ServoConfig(amplifier_gain=0.0), "amplifier_gain 0.0; expected a positive number"),
-    (lambda: ServoConfig(converter_bits=1), "converter_bits 1; expected a whole number from 2 to"),
-    (lambda: ServoConfig(converter_bits=12.0), "converter_bits 12.0"),
-    (lambda: ServoConfig(encoder_counts=0), "encoder_counts 0; expected a whole number from 1"),
-    (lambda: ServoConfig(encoder_counts=True), "encoder_counts True"),
-    (lambda: ServoConfig.from_mapping({"speed": 1}), "servo: .*speed.*; expected the keys"),
-    (lambda: ServoConfig.from_mapping({"gains": [{"gain": 1.0}]}), "PidGains of three joints"),
-])
+@pytest.mark.parametrize(
+    "make, message",
+    [
+        (lambda: PidGains(-1.0), "gain = -1.0; expected a number of at least 0"),
+        (lambda: PidGains(math.nan), "gain = nan"),
+        (lambda: PidGains(math.inf), "gain = inf"),
+        (lambda: PidGains("5"), "gain = '5'"),
+        (lambda: PidGains(True), "gain = True"),
+        (lambda: PidGains(1.0, 0.0), "integral_time = 0.0; expected a number of at least 1e-09"),
+        (lambda: PidGains(1.0, 1.0, -0.1), "derivative_time = -0.1"),
+        (lambda: Pid(GAINS, 0.0), "period = 0.0; expected seconds, positive"),
+        (lambda: Pid(GAINS, 0.01, limit=0.0), "limit = 0.0; expected volts, positive"),
+        (lambda: Pid(GAINS, 0.01, limit=math.nan), "limit = nan"),
+        (lambda: Pid(GAINS, 0.01).update(0.0, [0.0], [0.0] * 3), "expected 3 of each"),
+        (lambda: ServoConfig(gains=GAINS[:2]), "servo: gains .* expected PidGains of three joints"),
+        (lambda: ServoConfig(amplifier_gain=0.0), "amplifier_gain 0.0; expected a positive number"),
+        (lambda: ServoConfig(converter_bits=1), "converter_bits 1; expected a whole number from 2 to"),
+        (lambda: ServoConfig(converter_bits=12.0), "converter_bits 12.0"),
+        (lambda: ServoConfig(encoder_counts=0), "encoder_counts 0; expected a whole number from 1"),
+        (lambda: ServoConfig(encoder_counts=True), "encoder_counts True"),
+        (lambda: ServoConfig.from_mapping({"speed": 1}), "servo: .*speed.*; expected the keys"),
+        (lambda: ServoConfig.from_mapping({"gains": [{"gain": 1.0}]}), "PidGains of three joints"),
+    ],
+)
 def test_controllers_that_cannot_be_are_refused(make, message):
     with pytest.raises(ParameterError, match=message):
         make()
@@ -147,18 +152,17 @@ def servo_run(servo, limit=40.0):
 
 
 @pytest.mark.parametrize("on_measurement", [False, True])
-@pytest.mark.parametrize("gain, counts, limit", [(1.0, None, 40.0), (4.0, None, 15.0),
-                                                 (2.5, 1000, 20.0)])
+@pytest.mark.parametrize("gain, counts, limit", [(1.0, None, 40.0), (4.0, None, 15.0), (2.5, 1000, 20.0)])
 def test_servo_in_the_kernel_is_the_pid_class_bit_for_bit(on_measurement, gain, counts, limit):
-    servo = ServoConfig(GAINS, amplifier_gain=gain, encoder_counts=counts,
-                        derivative_on_measurement=on_measurement)
+    servo = ServoConfig(GAINS, amplifier_gain=gain, encoder_counts=counts, derivative_on_measurement=on_measurement)
     run = servo_run(servo, limit)
     pid = Pid(GAINS, SERVO_PERIOD, limit=limit / gain, on_measurement=on_measurement)
     turns = [2.0 * math.pi / (counts * m.gear_ratio) if counts else 0.0 for m in ARM.motors]
     limited = 0
     for row in range(len(run) - 1):
-        measured = [math.floor(q / step + 0.5) * step if step else q
-                    for q, step in zip(run.position[row].tolist(), turns)]
+        measured = [
+            math.floor(q / step + 0.5) * step if step else q for q, step in zip(run.position[row].tolist(), turns)
+        ]
         volts = pid.update(run.time[row], run.setpoint[row], measured)
         assert bits([u * gain for u in volts]) == bits(run.voltage[row])
         limited += sum(abs(u) == limit / gain for u in volts)
@@ -180,16 +184,13 @@ def test_converter_gives_multiples_of_its_step_in_its_range():
     codes = volts / step
     np.testing.assert_allclose(codes, np.round(codes), atol=1e-9)
     assert codes.min() == -2048 and codes.max() == 2047
-    assert (np.abs(volts - servo_run(ServoConfig(GAINS, amplifier_gain=4.0)).voltage)[0]
-            <= step * 1.0001).all()
+    assert (np.abs(volts - servo_run(ServoConfig(GAINS, amplifier_gain=4.0)).voltage)[0] <= step * 1.0001).all()
 
 
 def test_encoder_counts_are_those_of_the_motor_shaft():
-    table = ServoConfig(encoder_counts=1000).table(SERVO_PERIOD, 40.0,
-                                                   [m.gear_ratio for m in ARM.motors])
+    table = ServoConfig(encoder_counts=1000).table(SERVO_PERIOD, 40.0, [m.gear_ratio for m in ARM.motors])
     width = len(table) // 3
-    assert table[4::width] == pytest.approx([2 * math.pi / (1000 * n)
-                                             for n in (62.55, 107.81, 53.63)])
+    assert table[4::width] == pytest.approx([2 * math.pi / (1000 * n) for n in (62.55, 107.81, 53.63)])
     # a coarse encoder that sees no motion lets the arm stand: with an ideal one it is corrected
     coarse = ServoConfig(encoder_counts=1, derivative_on_measurement=True)
     simulator = Simulator(plant_of())
@@ -230,8 +231,9 @@ def test_wrist_angles_invert_the_wrist_position(q1, q2, q3):
     assume(well_placed(q))
     point = wrist_position(q, ARM)
     np.testing.assert_allclose(wrist_angles(point, ARM, q), q, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(wrist_position(wrist_angles(point, ARM, (0.0, 0.0, 0.0)), ARM),
-                               point, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        wrist_position(wrist_angles(point, ARM, (0.0, 0.0, 0.0)), ARM), point, rtol=0, atol=1e-12
+    )
 
 
 @settings(max_examples=50)
@@ -252,13 +254,18 @@ def test_all_four_solutions_are_reached_by_where_the_arm_is(q1, q2, q3):
         np.testing.assert_allclose(wrist_angles(point, ARM, solution), solution, atol=1e-12)
 
 
-@pytest.mark.parametrize("point, message", [
-    ((0.0, 0.0, 0.5), r"wrist at \(0.0000, 0.0000, 0.5000\) m: too near to the axis of joint 1; "
-                      "expected a distance of at least 0.1505 m"),
-    ((1.0, 0.0, 0.0),
-     "out of reach; expected a distance from the shoulder between 0.0017 and 0.8653 m"),
-    ((0.0, 0.1505, 0.0), "out of reach"),
-])
+@pytest.mark.parametrize(
+    "point, message",
+    [
+        (
+            (0.0, 0.0, 0.5),
+            r"wrist at \(0.0000, 0.0000, 0.5000\) m: too near to the axis of joint 1; "
+            "expected a distance of at least 0.1505 m",
+        ),
+        ((1.0, 0.0, 0.0), "out of reach; expected a distance from the shoulder between 0.0017 and 0.8653 m"),
+        ((0.0, 0.1505, 0.0), "out of reach"),
+    ],
+)
 def test_points_out_of_reach_are_named(point, message):
     with pytest.raises(ParameterError, match=message):
         wrist_angles(point, ARM, (0.0, 0.0, 0.0))
@@ -273,14 +280,14 @@ def test_a_stretched_arm_is_in_reach():
 START = (0.2, -0.6, 0.6)
 
 
-@pytest.mark.parametrize("displacement, duration", [
-    ((0.0, 0.0, -0.3), 2.0), ((-0.05, 0.0, 0.05), 0.5), ((0.1, -0.2, -0.1), 1.7)])
+@pytest.mark.parametrize(
+    "displacement, duration", [((0.0, 0.0, -0.3), 2.0), ((-0.05, 0.0, 0.05), 0.5), ((0.1, -0.2, -0.1), 1.7)]
+)
 def test_a_line_is_straight_and_starts_and_ends_at_rest(displacement, duration):
     time, setpoint = straight_line(ARM, START, displacement, duration)
     points = np.array([wrist_position(q, ARM) for q in setpoint])
     share = smooth_share(time / duration)
-    np.testing.assert_allclose(points, points[0] + np.outer(share, displacement), rtol=0,
-                               atol=1e-12)
+    np.testing.assert_allclose(points, points[0] + np.outer(share, displacement), rtol=0, atol=1e-12)
     assert (setpoint[0] == START).all()
     np.testing.assert_allclose(points[-1] - points[0], displacement, rtol=0, atol=1e-12)
     np.testing.assert_allclose(np.diff(time), 0.028, atol=1e-12)
@@ -303,19 +310,24 @@ def test_smooth_share_is_at_rest_at_both_ends():
     assert share[0] == 0.0 and share[-1] == 1.0 and (np.diff(share) >= 0.0).all()
     np.testing.assert_allclose(share + share[::-1], 1.0, atol=1e-14)
     for order in (1, 2):
-        assert abs(np.diff(share, n=order)[[0, -1]]).max() < 1e-4 ** order * 100
+        assert abs(np.diff(share, n=order)[[0, -1]]).max() < 1e-4**order * 100
     assert smooth_share(-1.0) == 0.0 and smooth_share(2.0) == 1.0
 
 
-@pytest.mark.parametrize("arguments, message", [
-    ((START, 1.0, 3.0), "out of reach"),
-    (((0.0, -2.5, -0.8), 0.4, 3.0),
-     r"wrist at height .* m: joint 3 at .* rad; expected .* rad along the whole line"),
-    (((0.0, 1.0, 0.0), -0.1, 3.0), "joint 2 at 1.0000 rad"),
-    ((START, -0.1, 0.0), "duration = 0.0 s; expected a positive number"),
-    ((START, -0.1, math.nan), "duration = nan s"),
-    ((START, -0.1, 1.0, -1.0), "period = -1.0 s"),
-])
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        ((START, 1.0, 3.0), "out of reach"),
+        (
+            ((0.0, -2.5, -0.8), 0.4, 3.0),
+            r"wrist at height .* m: joint 3 at .* rad; expected .* rad along the whole line",
+        ),
+        (((0.0, 1.0, 0.0), -0.1, 3.0), "joint 2 at 1.0000 rad"),
+        ((START, -0.1, 0.0), "duration = 0.0 s; expected a positive number"),
+        ((START, -0.1, math.nan), "duration = nan s"),
+        ((START, -0.1, 1.0, -1.0), "period = -1.0 s"),
+    ],
+)
 def test_lines_that_cannot_be_followed_are_named(arguments, message):
     with pytest.raises(ParameterError, match=message):
         vertical_line(ARM, *arguments)

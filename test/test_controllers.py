@@ -32,15 +32,24 @@ from puma_sim_core.simulator import SERVO_PERIOD, Simulator
 
 PLANT = plant_of()
 START = (0.0, -1.2, 1.0)
-EFFECTS = ("coulomb_friction:joint=2,torque=5", "presliding_friction:joint=3,torque=6",
-           "voltage_saturation:joint=1,voltage=20")
+EFFECTS = (
+    "coulomb_friction:joint=2,torque=5",
+    "presliding_friction:joint=3,torque=6",
+    "voltage_saturation:joint=1,voltage=20",
+)
 SETPOINTS = np.array(START) + 0.02 * np.random.default_rng(3).normal(size=(12, 3)).cumsum(axis=0)
 GAINS = (PidGains(900.0, 0.2, 0.03), PidGains(1600.0, 0.3, 0.02), PidGains(800.0))
 
 
 def columns(run):
-    return (bits(run.time), bits(run.position), bits(run.velocity), bits(run.current),
-            bits(run.voltage), bits(run.setpoint))
+    return (
+        bits(run.time),
+        bits(run.position),
+        bits(run.velocity),
+        bits(run.current),
+        bits(run.voltage),
+        bits(run.setpoint),
+    )
 
 
 def simulator_of(*effects, **options):
@@ -58,30 +67,38 @@ def follow(controller, moves, duration, plant=PLANT, **options):
     return run, joint_path(START, moves, run.time)
 
 
-LOOPS = {"position_gain": (20.0,) * 3, "velocity_gain": (25.0, 40.0, 15.0),
-         "velocity_time": (0.05,) * 3, "greatest_velocity": (2.2, 1.28, 2.5),
-         "greatest_acceleration": (15.0, 10.0, 20.0)}
+LOOPS = {
+    "position_gain": (20.0,) * 3,
+    "velocity_gain": (25.0, 40.0, 15.0),
+    "velocity_time": (0.05,) * 3,
+    "greatest_velocity": (2.2, 1.28, 2.5),
+    "greatest_acceleration": (15.0, 10.0, 20.0),
+}
 
 
 def computed(model=PLANT, **changes) -> ComputedTorque:
-    return make_controller("computed_torque", model,
-                           {**load_settings("computed_torque"), **changes})
+    return make_controller("computed_torque", model, {**load_settings("computed_torque"), **changes})
 
 
 # ------------------------------------------------------------------------------------ the loop
 
 
 @pytest.mark.parametrize("effects", [(), EFFECTS], ids=["none", "effects"])
-@pytest.mark.parametrize("chain", [
-    {}, {"amplifier_gain": 2.5}, {"encoder_counts": 1000, "converter_bits": 12},
-    {"delay_samples": 3, "amplifier_gain": 4.0, "converter_bits": 8, "encoder_counts": 500}])
+@pytest.mark.parametrize(
+    "chain",
+    [
+        {},
+        {"amplifier_gain": 2.5},
+        {"encoder_counts": 1000, "converter_bits": 12},
+        {"delay_samples": 3, "amplifier_gain": 4.0, "converter_bits": 8, "encoder_counts": 500},
+    ],
+)
 @pytest.mark.parametrize("on_measurement", [False, True])
 def test_the_pid_object_gives_the_bits_of_the_compiled_servo(effects, chain, on_measurement):
     limit = 25.0
     servo = ServoConfig(GAINS, derivative_on_measurement=on_measurement, **chain)
     compiled = simulator_of(*effects).run_servo(SETPOINTS, servo, voltage_limit=limit)
-    pid = Pid(GAINS, SERVO_PERIOD, limit=limit / servo.amplifier_gain,
-              on_measurement=on_measurement)
+    pid = Pid(GAINS, SERVO_PERIOD, limit=limit / servo.amplifier_gain, on_measurement=on_measurement)
     # the gains of the chain are not used
     chain = replace(servo, gains=(PidGains(1.0),) * 3)
     run = simulator_of(*effects).run_controller(pid, SETPOINTS, voltage_limit=limit, chain=chain)
@@ -137,20 +154,31 @@ def test_a_controller_is_told_times_setpoints_and_counts():
     assert set(map(tuple, run.voltage.tolist())) == {(1.0, -2.0, 3.0)}
 
 
-@pytest.mark.parametrize("run, error, message", [
-    (lambda s: s.run_controller(Spy(period=0.005), SETPOINTS), ParameterError,
-     "controller: its period is 0.005 s; expected a whole part of the 0.028 s"),
-    (lambda s: s.run_controller(Spy(period=0.05), SETPOINTS), ParameterError, "its period is"),
-    (lambda s: s.run_controller(Spy((1.0, 2.0)), SETPOINTS), ParameterError,
-     "controller: 2 voltages; expected three"),
-    (lambda s: s.run_controller(Spy((0.0, math.nan, 0.0)), SETPOINTS), NonFiniteStateError,
-     "step 1: the state is no longer finite"),
-    (lambda s: s.run_controller(Spy(), SETPOINTS[:0]), ParameterError, "no setpoint"),
-    (lambda s: s.run_controller(Spy(), SETPOINTS[:, :2]), ParameterError, "setpoint of shape"),
-    (lambda s: s.run_controller(Spy(), SETPOINTS, voltage_limit=0.0), ParameterError,
-     "voltage_limit 0.0 V"),
-    (lambda s: s.run_controller(Spy(), SETPOINTS, period=0.0), ParameterError, "period 0.0 s"),
-])
+@pytest.mark.parametrize(
+    "run, error, message",
+    [
+        (
+            lambda s: s.run_controller(Spy(period=0.005), SETPOINTS),
+            ParameterError,
+            "controller: its period is 0.005 s; expected a whole part of the 0.028 s",
+        ),
+        (lambda s: s.run_controller(Spy(period=0.05), SETPOINTS), ParameterError, "its period is"),
+        (
+            lambda s: s.run_controller(Spy((1.0, 2.0)), SETPOINTS),
+            ParameterError,
+            "controller: 2 voltages; expected three",
+        ),
+        (
+            lambda s: s.run_controller(Spy((0.0, math.nan, 0.0)), SETPOINTS),
+            NonFiniteStateError,
+            "step 1: the state is no longer finite",
+        ),
+        (lambda s: s.run_controller(Spy(), SETPOINTS[:0]), ParameterError, "no setpoint"),
+        (lambda s: s.run_controller(Spy(), SETPOINTS[:, :2]), ParameterError, "setpoint of shape"),
+        (lambda s: s.run_controller(Spy(), SETPOINTS, voltage_limit=0.0), ParameterError, "voltage_limit 0.0 V"),
+        (lambda s: s.run_controller(Spy(), SETPOINTS, period=0.0), ParameterError, "period 0.0 s"),
+    ],
+)
 def test_loops_that_cannot_be_are_named(run, error, message):
     simulator = simulator_of()
     before = simulator.state
@@ -172,10 +200,16 @@ TABLE = np.random.default_rng(5).uniform(10.0, 100.0, (3, 4))
 
 
 def schedule(**changes):
-    return GainSchedule.from_mapping({
-        "q2": list(Q2), "q3": list(Q3), "gain": [TABLE.tolist(), 5.0, TABLE[:1].tolist()],
-        "integral_time": [0.1, math.inf, TABLE[:, :1].tolist()],
-        "derivative_time": [0.0, 0.01, TABLE.tolist()], **changes})
+    return GainSchedule.from_mapping(
+        {
+            "q2": list(Q2),
+            "q3": list(Q3),
+            "gain": [TABLE.tolist(), 5.0, TABLE[:1].tolist()],
+            "integral_time": [0.1, math.inf, TABLE[:, :1].tolist()],
+            "derivative_time": [0.0, 0.01, TABLE.tolist()],
+            **changes,
+        }
+    )
 
 
 @given(st.floats(-3.0, 4.0), st.floats(-3.0, 4.0))
@@ -203,11 +237,21 @@ def test_a_schedule_gives_the_numbers_of_its_table_and_survives_its_mapping():
 
 def test_with_equal_gains_everywhere_it_is_the_pid_bit_for_bit():
     for on_measurement in (False, True):
-        table = GainSchedule(Q2, Q3, *(tuple([[g] * 4] * 3 for g in column) for column in zip(
-            *((g.gain, min(g.integral_time, 1e9), g.derivative_time) for g in GAINS))))
+        table = GainSchedule(
+            Q2,
+            Q3,
+            *(
+                tuple([[g] * 4] * 3 for g in column)
+                for column in zip(*((g.gain, min(g.integral_time, 1e9), g.derivative_time) for g in GAINS))
+            ),
+        )
         scheduled = ScheduledPid(table, SERVO_PERIOD, limit=20.0, on_measurement=on_measurement)
-        pid = Pid([PidGains(g.gain, min(g.integral_time, 1e9), g.derivative_time) for g in GAINS],
-                  SERVO_PERIOD, limit=20.0, on_measurement=on_measurement)
+        pid = Pid(
+            [PidGains(g.gain, min(g.integral_time, 1e9), g.derivative_time) for g in GAINS],
+            SERVO_PERIOD,
+            limit=20.0,
+            on_measurement=on_measurement,
+        )
         runs = [simulator_of().run_controller(c, SETPOINTS) for c in (scheduled, pid)]
         assert columns(runs[0]) == columns(runs[1])
 
@@ -225,22 +269,25 @@ def test_a_change_of_the_gains_moves_nothing_by_itself():
     assert pid.update(0.0, (0.0,) * 3, (0.0,) * 3) == (0.0,) * 3
 
 
-@pytest.mark.parametrize("make, message", [
-    (lambda: schedule(q2=[1.0, 1.0, 2.0]), "q2 = .*; expected increasing angles"),
-    (lambda: schedule(q3=[1.0]), "q3 = .*; expected increasing angles"),
-    (lambda: schedule(q3=["a", "b"]), "q3 = .*; expected increasing angles"),
-    (lambda: schedule(gain=[1.0, 2.0]), "gain = .*; expected three entries, one for each joint"),
-    (lambda: schedule(gain=[[[1.0] * 3] * 3, 1.0, 1.0]), "gain of joint 1 .* 3 rows of 4 numbers"),
-    (lambda: schedule(gain=[1.0, "x", 1.0]), "gain of joint 2 = 'x'"),
-    (lambda: schedule(gain=[1.0, 0.0, 1.0]), "gain of joint 2 = 0.0; expected positive numbers"),
-    (lambda: schedule(integral_time=[1.0, 0.0, 1.0]), "integral_time = 0.0"),
-    (lambda: schedule(derivative_time=[-1.0, 0.0, 1.0]), "derivative_time = -1.0"),
-    (lambda: schedule(colour=1), "keys .*colour; expected q2, q3, gain"),
-    (lambda: GainSchedule.from_mapping([]), "gain schedule: keys"),
-    (lambda: ScheduledPid(schedule(), 0.0), "period = 0.0; expected seconds"),
-    (lambda: ScheduledPid(schedule(), 0.01, limit=-1.0), "limit = -1.0; expected volts"),
-    (lambda: ScheduledPid(schedule(), 0.01).update(0.0, (0.0,), (0.0,)), "expected 3 of each"),
-])
+@pytest.mark.parametrize(
+    "make, message",
+    [
+        (lambda: schedule(q2=[1.0, 1.0, 2.0]), "q2 = .*; expected increasing angles"),
+        (lambda: schedule(q3=[1.0]), "q3 = .*; expected increasing angles"),
+        (lambda: schedule(q3=["a", "b"]), "q3 = .*; expected increasing angles"),
+        (lambda: schedule(gain=[1.0, 2.0]), "gain = .*; expected three entries, one for each joint"),
+        (lambda: schedule(gain=[[[1.0] * 3] * 3, 1.0, 1.0]), "gain of joint 1 .* 3 rows of 4 numbers"),
+        (lambda: schedule(gain=[1.0, "x", 1.0]), "gain of joint 2 = 'x'"),
+        (lambda: schedule(gain=[1.0, 0.0, 1.0]), "gain of joint 2 = 0.0; expected positive numbers"),
+        (lambda: schedule(integral_time=[1.0, 0.0, 1.0]), "integral_time = 0.0"),
+        (lambda: schedule(derivative_time=[-1.0, 0.0, 1.0]), "derivative_time = -1.0"),
+        (lambda: schedule(colour=1), "keys .*colour; expected q2, q3, gain"),
+        (lambda: GainSchedule.from_mapping([]), "gain schedule: keys"),
+        (lambda: ScheduledPid(schedule(), 0.0), "period = 0.0; expected seconds"),
+        (lambda: ScheduledPid(schedule(), 0.01, limit=-1.0), "limit = -1.0; expected volts"),
+        (lambda: ScheduledPid(schedule(), 0.01).update(0.0, (0.0,), (0.0,)), "expected 3 of each"),
+    ],
+)
 def test_schedules_that_cannot_be_are_named(make, message):
     with pytest.raises(ParameterError, match=message):
         make()
@@ -269,9 +316,13 @@ def grid(found):
     return found["q2"], found["q3"]
 
 
-@pytest.mark.parametrize("group, gains_at", [
-    ("servo", lambda poses: placed_gains(PLANT, poses, (40.0,) * 3)),
-    ("external", lambda poses: ultimate_gains(PLANT, poses, 0.028, 1))])
+@pytest.mark.parametrize(
+    "group, gains_at",
+    [
+        ("servo", lambda poses: placed_gains(PLANT, poses, (40.0,) * 3)),
+        ("external", lambda poses: ultimate_gains(PLANT, poses, 0.028, 1)),
+    ],
+)
 def test_the_tables_of_the_configuration_are_those_of_their_design(group, gains_at):
     found = load_settings("scheduled", group)
     found.pop("derivative_on_measurement")
@@ -291,12 +342,14 @@ def test_the_grids_cover_the_ranges_of_the_joints():
 
 def test_the_pid_of_the_configuration_is_that_of_the_servo_and_of_the_nodes():
     servo, external = (load_settings("pid", group) for group in GROUPS)
-    assert [PidGains(*row) for row in zip(servo["gain"], servo["integral_time"],
-                                          servo["derivative_time"])] == list(DEFAULT_GAINS)
+    assert [PidGains(*row) for row in zip(servo["gain"], servo["integral_time"], servo["derivative_time"])] == list(
+        DEFAULT_GAINS
+    )
     assert servo["derivative_on_measurement"] == ServoConfig().derivative_on_measurement
     for file, node, place, expected in (
-            ("sim_node.yaml", "/**/sim_node", "servo", servo),
-            ("external_controller.yaml", "/**/external_controller", None, external)):
+        ("sim_node.yaml", "/**/sim_node", "servo", servo),
+        ("external_controller.yaml", "/**/external_controller", None, external),
+    ):
         found = yaml.safe_load(config_path(file).read_text())[node]["ros__parameters"]
         found = found[place] if place else found
         for name in ("gain", "integral_time", "derivative_time"):
@@ -310,13 +363,11 @@ def test_every_kind_of_controller_follows_a_path_from_its_configuration(kind, gr
     assert controller.period == period
     moves = [Move(0.28, 1.5, (0.6, -0.4, 0.5))]
     # the external ones must bear a sample that comes late
-    run, path = follow(controller, moves, 5.6,
-                       chain=ServoConfig(delay_samples=int(group == "external")))
+    run, path = follow(controller, moves, 5.6, chain=ServoConfig(delay_samples=int(group == "external")))
     assert np.abs(run.voltage).max() <= 40.0
     assert tracking_error(run, path).worst.max() < 0.05
     np.testing.assert_allclose(run.position[-1], path[-1], atol=2e-3)
-    again, _ = follow(controller, moves, 5.6,
-                      chain=ServoConfig(delay_samples=int(group == "external")))
+    again, _ = follow(controller, moves, 5.6, chain=ServoConfig(delay_samples=int(group == "external")))
     assert columns(again) == columns(run)
 
 
@@ -333,33 +384,44 @@ def test_the_amplifier_changes_nothing_but_the_scale_of_a_model_based_controller
     np.testing.assert_allclose(found[0].position, found[1].position, atol=1e-9)
 
 
-@pytest.mark.parametrize("make, message", [
-    (lambda: make_controller("pd", PLANT), "controller 'pd'; expected pid or scheduled or"),
-    (lambda: load_settings("pid", "slow"), "group 'slow'; expected servo or external"),
-    (lambda: load_settings("pid", path="/nowhere.yaml"), "/nowhere.yaml: cannot be read"),
-    (lambda: load_settings("scheduled", path=config_path("sim_node.yaml")),
-     "sim_node.yaml: no settings servo: scheduled"),
-    (lambda: make_controller("pid", PLANT, 7), "controller 'pid': settings 7; expected a mapping"),
-    (lambda: make_controller("pid", PLANT, {}), "derivative_on_measurement = None"),
-    (lambda: make_controller("pid", PLANT, {"derivative_on_measurement": True, "gain": [1.0]}),
-     "controller 'pid': keys gain"),
-    (lambda: make_controller("pid", PLANT, {**load_settings("pid"), "gain": [1.0]}),
-     "expected three numbers of each"),
-    (lambda: make_controller("pid", PLANT, voltage_limit=0.0), "voltage_limit 0.0 V"),
-    (lambda: make_controller("computed_torque", PLANT, {"bandwidth": [1.0] * 3}),
-     "computed torque: keys bandwidth; expected bandwidth, velocity_filter"),
-    (lambda: computed(bandwidth=[1.0, 2.0]), "bandwidth = .* three positive numbers"),
-    (lambda: computed(bandwidth=["a"] * 3), "computed torque"),
-    (lambda: computed(velocity_filter=0.0), "velocity_filter = 0.0; expected a positive number"),
-    (lambda: computed(back_emf="guessed"), "back_emf 'guessed'; expected measured or reference"),
-    (lambda: computed(lead=2.0), "lead 2.0"),
-    (lambda: computed(greatest_velocity=[0.0] * 3), "greatest velocity"),
-    (lambda: computed(greatest_velocity=[1.0] * 4), "greatest velocity"),
-    (lambda: computed(greatest_velocity=["a"] * 3), "computed torque"),
-    (lambda: make_controller("computed_torque", PLANT, period=0.005), "period = 0.005 s"),
-    (lambda: make_controller("computed_torque", PLANT).update(0.0, (0.0,), (0.0,)), "3 of each"),
-    (lambda: VelocityLoop(0.028, **{**LOOPS, "velocity_gain": (0.0, 1.0, 1.0)}), "velocity_gain"),
-])
+@pytest.mark.parametrize(
+    "make, message",
+    [
+        (lambda: make_controller("pd", PLANT), "controller 'pd'; expected pid or scheduled or"),
+        (lambda: load_settings("pid", "slow"), "group 'slow'; expected servo or external"),
+        (lambda: load_settings("pid", path="/nowhere.yaml"), "/nowhere.yaml: cannot be read"),
+        (
+            lambda: load_settings("scheduled", path=config_path("sim_node.yaml")),
+            "sim_node.yaml: no settings servo: scheduled",
+        ),
+        (lambda: make_controller("pid", PLANT, 7), "controller 'pid': settings 7; expected a mapping"),
+        (lambda: make_controller("pid", PLANT, {}), "derivative_on_measurement = None"),
+        (
+            lambda: make_controller("pid", PLANT, {"derivative_on_measurement": True, "gain": [1.0]}),
+            "controller 'pid': keys gain",
+        ),
+        (
+            lambda: make_controller("pid", PLANT, {**load_settings("pid"), "gain": [1.0]}),
+            "expected three numbers of each",
+        ),
+        (lambda: make_controller("pid", PLANT, voltage_limit=0.0), "voltage_limit 0.0 V"),
+        (
+            lambda: make_controller("computed_torque", PLANT, {"bandwidth": [1.0] * 3}),
+            "computed torque: keys bandwidth; expected bandwidth, velocity_filter",
+        ),
+        (lambda: computed(bandwidth=[1.0, 2.0]), "bandwidth = .* three positive numbers"),
+        (lambda: computed(bandwidth=["a"] * 3), "computed torque"),
+        (lambda: computed(velocity_filter=0.0), "velocity_filter = 0.0; expected a positive number"),
+        (lambda: computed(back_emf="guessed"), "back_emf 'guessed'; expected measured or reference"),
+        (lambda: computed(lead=2.0), "lead 2.0"),
+        (lambda: computed(greatest_velocity=[0.0] * 3), "greatest velocity"),
+        (lambda: computed(greatest_velocity=[1.0] * 4), "greatest velocity"),
+        (lambda: computed(greatest_velocity=["a"] * 3), "computed torque"),
+        (lambda: make_controller("computed_torque", PLANT, period=0.005), "period = 0.005 s"),
+        (lambda: make_controller("computed_torque", PLANT).update(0.0, (0.0,), (0.0,)), "3 of each"),
+        (lambda: VelocityLoop(0.028, **{**LOOPS, "velocity_gain": (0.0, 1.0, 1.0)}), "velocity_gain"),
+    ],
+)
 def test_settings_that_cannot_be_are_named(make, message):
     with pytest.raises(ParameterError, match=message):
         make()

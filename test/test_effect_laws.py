@@ -8,8 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arm_reference import (arm_of, bits, energy, mass_matrix, open_circuit, plant_of,
-                           right_hand_side, smooth_voltages)
+from arm_reference import arm_of, bits, energy, mass_matrix, open_circuit, plant_of, right_hand_side, smooth_voltages
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
@@ -20,8 +19,16 @@ from puma_sim_core.effects.friction import PRESLIDING, bristle_flow
 from puma_sim_core.effects.stops import stop_torque
 from puma_sim_core.kinematics import dh_table, link_transforms, wrist_position
 from puma_sim_core.plant import Plant
-from puma_sim_core.rigid_body import (arm_pseudo_inertias, arm_table, coriolis, gravity_torque,
-                                      inertia, trace_coriolis, trace_gravity, trace_inertia)
+from puma_sim_core.rigid_body import (
+    arm_pseudo_inertias,
+    arm_table,
+    coriolis,
+    gravity_torque,
+    inertia,
+    trace_coriolis,
+    trace_gravity,
+    trace_inertia,
+)
 from puma_sim_core.simulator import SERVO_PERIOD, Constraint, Simulator
 
 HOLD = Constraint("hold")
@@ -31,8 +38,7 @@ KT = np.array([m.torque_constant * m.gear_ratio for m in arm_of("bejczy").motors
 
 def on_joint_1(effects, time, torque, max_step=SERVO_PERIOD, position=0.0):
     """Run of joint 1 alone under static torques [N.m] at the joint, applied as volts."""
-    simulator = Simulator(plant_of(*effects), constraints=(Constraint(), HOLD, HOLD),
-                          max_step=max_step)
+    simulator = Simulator(plant_of(*effects), constraints=(Constraint(), HOLD, HOLD), max_step=max_step)
     volts = np.zeros((len(time), 3))
     volts[:, 0] = np.asarray(torque) * R / KT[0]
     simulator.reset((position, -1.0, 0.5), current=(volts[0, 0] / R, 0.0, 0.0))
@@ -42,17 +48,36 @@ def on_joint_1(effects, time, torque, max_step=SERVO_PERIOD, position=0.0):
 # ------------------------------------------------------------------------- friction that slides
 
 
-@pytest.mark.parametrize("effects, positive, negative, viscous", [
-    (["viscous_friction:joint=1,coefficient=5.8"], 0.0, 0.0, 5.8),
-    (["coulomb_friction:joint=1,torque=20"], 20.0, 20.0, 0.0),
-    (["asymmetric_coulomb_friction:joint=1,positive=24.7,negative=27.2"], 24.7, 27.2, 0.0),
-    (["coulomb_friction:joint=1,torque=20", "viscous_friction:joint=1,coefficient=5.8",
-      "asymmetric_coulomb_friction:joint=1,positive=3,negative=0"], 23.0, 20.0, 5.8),
-    (["presliding_friction:joint=1,torque=15"], 15.0, 15.0, 0.0),
-    (["presliding_friction:joint=1,torque=5", "coulomb_friction:joint=1,torque=10",
-      "asymmetric_coulomb_friction:joint=1,positive=1,negative=2",
-      "stribeck_friction:joint=1,torque=4"], 16.0, 17.0, 0.0),
-])
+@pytest.mark.parametrize(
+    "effects, positive, negative, viscous",
+    [
+        (["viscous_friction:joint=1,coefficient=5.8"], 0.0, 0.0, 5.8),
+        (["coulomb_friction:joint=1,torque=20"], 20.0, 20.0, 0.0),
+        (["asymmetric_coulomb_friction:joint=1,positive=24.7,negative=27.2"], 24.7, 27.2, 0.0),
+        (
+            [
+                "coulomb_friction:joint=1,torque=20",
+                "viscous_friction:joint=1,coefficient=5.8",
+                "asymmetric_coulomb_friction:joint=1,positive=3,negative=0",
+            ],
+            23.0,
+            20.0,
+            5.8,
+        ),
+        (["presliding_friction:joint=1,torque=15"], 15.0, 15.0, 0.0),
+        (
+            [
+                "presliding_friction:joint=1,torque=5",
+                "coulomb_friction:joint=1,torque=10",
+                "asymmetric_coulomb_friction:joint=1,positive=1,negative=2",
+                "stribeck_friction:joint=1,torque=4",
+            ],
+            16.0,
+            17.0,
+            0.0,
+        ),
+    ],
+)
 def test_terminal_speed_shows_the_level_of_each_direction(effects, positive, negative, viscous):
     time = np.arange(0.0, 3.0, 0.1)
     back_emf = 0.26 * 62.55 * KT[0] / R
@@ -64,13 +89,12 @@ def test_terminal_speed_shows_the_level_of_each_direction(effects, positive, neg
 
 def test_stribeck_friction_falls_with_the_speed_as_its_equation_says():
     time = np.arange(0.0, 3.0, 0.1)
-    effects = ["coulomb_friction:joint=1,torque=10",
-               "stribeck_friction:joint=1,torque=8,velocity=0.5"]
+    effects = ["coulomb_friction:joint=1,torque=10", "stribeck_friction:joint=1,torque=8,velocity=0.5"]
     run, _ = on_joint_1(effects, time, np.full(len(time), 80.0))
     speed = run.velocity[-1, 0]
     level = 80.0 - 0.26 * 62.55 * KT[0] / R * speed
     assert 0.1 < speed < 0.5
-    assert level == pytest.approx(10.0 + 8.0 * np.exp(-(speed / 0.5) ** 2), rel=1e-9)
+    assert level == pytest.approx(10.0 + 8.0 * np.exp(-((speed / 0.5) ** 2)), rel=1e-9)
 
 
 # --------------------------------------------------------------------------- bristle, presliding
@@ -78,8 +102,9 @@ def test_stribeck_friction_falls_with_the_speed_as_its_equation_says():
 
 def ramp(*corners, steps=400, row=0.02):
     """Times and torques that pass slowly from corner to corner."""
-    torque = np.concatenate([np.linspace(a, b, steps, endpoint=False)
-                             for a, b in zip(corners, corners[1:])] + [corners[-1:]])
+    torque = np.concatenate(
+        [np.linspace(a, b, steps, endpoint=False) for a, b in zip(corners, corners[1:])] + [corners[-1:]]
+    )
     return row * np.arange(len(torque)), torque
 
 
@@ -102,14 +127,12 @@ def test_presliding_is_a_spring_under_small_loads():
 def test_presliding_has_the_hysteresis_loop_of_its_equation():
     level, stiffness = 20.0, 2e4
     time, torque = ramp(0.0, 15.0, -15.0, 15.0)
-    run, _ = on_joint_1([f"presliding_friction:joint=1,stiffness={stiffness},torque={level}"],
-                        time, torque)
+    run, _ = on_joint_1([f"presliding_friction:joint=1,stiffness={stiffness},torque={level}"], time, torque)
     q, expected = run.position[:, 0], dahl(torque, level, stiffness)
     # the load moves on by up to .075 N.m while the arm follows it
     np.testing.assert_allclose(q, expected, rtol=0, atol=0.02 * np.ptp(expected))
     loop = slice(400, None)
-    area = np.trapezoid(torque[loop], q[loop]) if hasattr(np, "trapezoid") else np.trapz(
-        torque[loop], q[loop])
+    area = np.trapezoid(torque[loop], q[loop]) if hasattr(np, "trapezoid") else np.trapz(torque[loop], q[loop])
     exact = (np.trapezoid if hasattr(np, "trapezoid") else np.trapz)(torque[loop], expected[loop])
     assert area > 0.0 and area == pytest.approx(exact, rel=0.02)
     assert abs(q[-1] - q[400]) < 0.02 * np.ptp(q)
@@ -117,9 +140,14 @@ def test_presliding_has_the_hysteresis_loop_of_its_equation():
 
 def test_presliding_does_not_drift_under_a_constant_load():
     time = np.append(np.arange(0.0, 5.0, 0.1), [60.0, 120.0])
-    for effects in (["presliding_friction:joint=1,stiffness=2e4,torque=20"],
-                    ["presliding_friction:joint=1,stiffness=1e6",
-                     "coulomb_friction:joint=1,torque=15", "stribeck_friction:joint=1,torque=5"]):
+    for effects in (
+        ["presliding_friction:joint=1,stiffness=2e4,torque=20"],
+        [
+            "presliding_friction:joint=1,stiffness=1e6",
+            "coulomb_friction:joint=1,torque=15",
+            "stribeck_friction:joint=1,torque=5",
+        ],
+    ):
         run, _ = on_joint_1(effects, time, np.full(len(time), 12.0))
         assert run.position[-1, 0] > 0.0
         assert abs(run.position[-1, 0] - run.position[-2, 0]) < 1e-9
@@ -128,8 +156,7 @@ def test_presliding_does_not_drift_under_a_constant_load():
 @settings(max_examples=30)
 @given(st.floats(1.0, 1e6), st.floats(0.0, 40.0), st.integers(0, 2**32 - 1))
 def test_bristles_never_bend_beyond_their_level(stiffness, level, seed):
-    plant = plant_of(*[f"presliding_friction:joint={j},stiffness={stiffness!r},torque={level!r}"
-                       for j in (1, 2, 3)])
+    plant = plant_of(*[f"presliding_friction:joint={j},stiffness={stiffness!r},torque={level!r}" for j in (1, 2, 3)])
     simulator = Simulator(plant)
     simulator.reset((0.1, -1.2, 1.0))
     random = np.random.default_rng(seed)
@@ -159,8 +186,10 @@ def test_stiff_bristles_tend_to_coulomb_friction():
         return simulator.run(time, volts).position
 
     coulomb = position([f"coulomb_friction:joint={j},torque={c}" for j, c in levels])
-    errors = [np.abs(position([f"presliding_friction:joint={j},torque={c},stiffness={s}"
-                               for j, c in levels]) - coulomb).max() for s in (1e4, 1e5, 1e6)]
+    errors = [
+        np.abs(position([f"presliding_friction:joint={j},torque={c},stiffness={s}" for j, c in levels]) - coulomb).max()
+        for s in (1e4, 1e5, 1e6)
+    ]
     assert errors[2] < errors[1] / 2 < errors[0] / 10
     assert errors[2] < 3e-4 and np.ptp(coulomb, axis=0).min() > 0.1
 
@@ -168,8 +197,7 @@ def test_stiff_bristles_tend_to_coulomb_friction():
 def test_the_stiffest_bristles_are_stable_at_the_servo_rate():
     # as springs they turn the joints by a radian of phase in a step
     bound = next(p.high for p in PRESLIDING.parameters if p.name == "stiffness")
-    plant = plant_of(*[f"presliding_friction:joint={j},torque=60,stiffness={bound}"
-                       for j in (1, 2, 3)])
+    plant = plant_of(*[f"presliding_friction:joint={j},torque=60,stiffness={bound}" for j in (1, 2, 3)])
     simulator = Simulator(plant)
     simulator.reset((0.1, -1.2, 1.0))
     simulator.step((1.0, 1.0, 1.0), 2.0)
@@ -190,8 +218,9 @@ def test_bristles_far_below_their_level_are_springs_of_the_order_of_the_method(j
     start[joint] = speed
     errors = []
     for n in (1, 2, 4):
-        simulator = Simulator(plant, max_step=SERVO_PERIOD / n, constraints=[
-            Constraint() if j == joint else HOLD for j in range(3)])
+        simulator = Simulator(
+            plant, max_step=SERVO_PERIOD / n, constraints=[Constraint() if j == joint else HOLD for j in range(3)]
+        )
         simulator.reset((0.0, -1.0, 0.5), start)
         time = SERVO_PERIOD * np.arange(duration / SERVO_PERIOD)
         run = simulator.run(time, np.zeros((len(time), 3)))
@@ -204,9 +233,14 @@ def test_bristles_far_below_their_level_are_springs_of_the_order_of_the_method(j
 @settings(max_examples=20)
 @given(st.integers(0, 2**32 - 1), st.floats(1e2, 1e6))
 def test_bristles_never_make_energy(seed, stiffness):
-    plant = open_circuit(plant_of(*[
-        f"presliding_friction:joint={j},torque={c},stiffness={stiffness!r}"
-        for j, c in ((1, 20), (2, 20), (3, 10))]))
+    plant = open_circuit(
+        plant_of(
+            *[
+                f"presliding_friction:joint={j},torque={c},stiffness={stiffness!r}"
+                for j, c in ((1, 20), (2, 20), (3, 10))
+            ]
+        )
+    )
     random = np.random.default_rng(seed)
     simulator = Simulator(plant)
     simulator.reset(random.uniform(-2, 2, 3), random.uniform(-2, 2, 3))
@@ -224,8 +258,7 @@ def test_bristles_never_make_energy(seed, stiffness):
 @settings(max_examples=30)
 @given(limits=st.tuples(*[st.floats(0.01, 10)] * 3), seed=st.integers(0, 2**32 - 1))
 def test_current_never_exceeds_its_limit(limits, seed):
-    plant = plant_of(*[f"current_limit:joint={j},current={c!r}"
-                       for j, c in zip((1, 2, 3), limits)])
+    plant = plant_of(*[f"current_limit:joint={j},current={c!r}" for j, c in zip((1, 2, 3), limits)])
     time = np.arange(0.0, 0.5, 0.003)
     volts = np.random.default_rng(seed).uniform(-40, 40, (len(time), 3))
     current = Simulator(plant).run(time, volts).current
@@ -236,8 +269,7 @@ def test_current_never_exceeds_its_limit(limits, seed):
 def test_current_reaches_its_limit_and_leaves_it_when_it_should():
     # motors of held joints are resistors and inductors: the current is known in closed form
     limit, tau, step = 4.0, 0.003, 1e-4
-    simulator = Simulator(plant_of(f"current_limit:joint=1,current={limit}"),
-                          constraints=(HOLD,) * 3, max_step=step)
+    simulator = Simulator(plant_of(f"current_limit:joint=1,current={limit}"), constraints=(HOLD,) * 3, max_step=step)
     time = np.arange(0.0, 0.0201, step)
     volts = np.zeros((len(time), 3))
     volts[:, 0] = np.where(time < 0.01 - step / 2, 16.0, -3.2)
@@ -248,18 +280,17 @@ def test_current_reaches_its_limit_and_leaves_it_when_it_should():
     held = (time > reached + step) & (time <= 0.01 + step / 2)
     assert (current[held] == limit).all()
     down = time > 0.01 + step / 2
-    np.testing.assert_allclose(current[down], -2.0 + 6.0 * np.exp(-(time[down] - 0.01) / tau),
-                               rtol=0, atol=1e-7)
+    np.testing.assert_allclose(current[down], -2.0 + 6.0 * np.exp(-(time[down] - 0.01) / tau), rtol=0, atol=1e-7)
 
 
 def test_saturated_voltages_are_those_of_the_supply():
     time, volts = smooth_voltages((60.0, 50.0, 30.0), 1.0)
-    limited = Simulator(plant_of(*[f"voltage_saturation:joint={j},voltage={v}"
-                                   for j, v in ((1, 24.0), (2, 40.0), (3, 10.0))]))
+    limited = Simulator(
+        plant_of(*[f"voltage_saturation:joint={j},voltage={v}" for j, v in ((1, 24.0), (2, 40.0), (3, 10.0))])
+    )
     clipped = Simulator(plant_of())
     supply = np.array([24.0, 40.0, 10.0])
-    assert bits(limited.run(time, volts).position) == bits(
-        clipped.run(time, np.clip(volts, -supply, supply)).position)
+    assert bits(limited.run(time, volts).position) == bits(clipped.run(time, np.clip(volts, -supply, supply)).position)
 
 
 # -------------------------------------------------------------------------------- stops and loads
@@ -268,8 +299,10 @@ def test_saturated_voltages_are_those_of_the_supply():
 @pytest.mark.parametrize("stiffness, damping", [(1e4, 100.0), (3e3, 0.0), (5e4, 400.0)])
 def test_soft_stop_agrees_with_an_independent_integration(stiffness, damping):
     lower, upper = np.array([-0.2, -1.0, 0.3]), np.array([0.25, -0.5, 0.9])
-    effects = [f"soft_stop:joint={j + 1},lower={lower[j]},upper={upper[j]},"
-               f"stiffness={stiffness},damping={damping}" for j in range(3)]
+    effects = [
+        f"soft_stop:joint={j + 1},lower={lower[j]},upper={upper[j]},stiffness={stiffness},damping={damping}"
+        for j in range(3)
+    ]
     plant, volts = plant_of(*effects), np.array([8.0, 10.0, -6.0])
     touched = []
 
@@ -282,9 +315,14 @@ def test_soft_stop_agrees_with_an_independent_integration(stiffness, damping):
                     touched.append(j)
         return torque
 
-    y = solve_ivp(right_hand_side(plant, volts, torque=stop), (0.0, 1.0),
-                  [0.0, -0.7, 0.6, 1.5, 1.0, -1.0, 0, 0, 0], rtol=1e-9, atol=1e-11,
-                  max_step=0.002).y[:, -1]
+    y = solve_ivp(
+        right_hand_side(plant, volts, torque=stop),
+        (0.0, 1.0),
+        [0.0, -0.7, 0.6, 1.5, 1.0, -1.0, 0, 0, 0],
+        rtol=1e-9,
+        atol=1e-11,
+        max_step=0.002,
+    ).y[:, -1]
     simulator = Simulator(plant, max_step=SERVO_PERIOD / 8)
     simulator.reset((0.0, -0.7, 0.6), (1.5, 1.0, -1.0))
     simulator.step(volts, 1.0)
@@ -292,8 +330,13 @@ def test_soft_stop_agrees_with_an_independent_integration(stiffness, damping):
     np.testing.assert_allclose(simulator.state, y, rtol=0, atol=2e-5)
 
 
-@given(q=st.floats(-3, 3), qd=st.floats(-5, 5), ends=st.tuples(st.floats(-2, 0), st.floats(0.1, 2)),
-       stiffness=st.floats(0, 1e6), damping=st.floats(0, 1e3))
+@given(
+    q=st.floats(-3, 3),
+    qd=st.floats(-5, 5),
+    ends=st.tuples(st.floats(-2, 0), st.floats(0.1, 2)),
+    stiffness=st.floats(0, 1e6),
+    damping=st.floats(0, 1e3),
+)
 def test_a_stop_never_pulls_back(q, qd, ends, stiffness, damping):
     torque = interpreted(stop_torque)((*ends, stiffness, damping), 0, q, qd)
     if ends[0] <= q <= ends[1]:
@@ -325,9 +368,11 @@ def test_payload_equals_a_mass_added_to_link_3_in_the_trace_form(mass, x, y, z):
     bodies[2] += mass * np.outer((x, y, z, 1.0), (x, y, z, 1.0))
     arm = plant.loaded_arm
     for q in np.random.default_rng(5).uniform(-3, 3, (30, 3)):
-        for closed, trace in ((inertia(q, arm), trace_inertia(q, bodies, table)),
-                              (coriolis(q, arm), trace_coriolis(q, bodies, table)),
-                              (gravity_torque(q, arm), trace_gravity(q, bodies, table))):
+        for closed, trace in (
+            (inertia(q, arm), trace_inertia(q, bodies, table)),
+            (coriolis(q, arm), trace_coriolis(q, bodies, table)),
+            (gravity_torque(q, arm), trace_gravity(q, bodies, table)),
+        ):
             np.testing.assert_allclose(closed, trace, rtol=1e-12, atol=2e-12)
 
 
@@ -343,8 +388,7 @@ def test_payload_equals_a_body_in_mujoco(mass, x, y, z):
 
     tensor = tensor + shifted(m3, centre - both) + shifted(mass, np.array([x, y, z]) - both)
     bodies[2] = (m3 + mass, both, tensor)
-    model, data = mujoco_chain(dh_table(plant.arm)[:3], bodies, plant.arm.motor_inertia,
-                               plant.arm.gravity)
+    model, data = mujoco_chain(dh_table(plant.arm)[:3], bodies, plant.arm.motor_inertia, plant.arm.gravity)
     assert_same_dynamics(plant.loaded_arm, model, data)
 
 

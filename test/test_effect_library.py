@@ -13,8 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arm_reference import (arm_of, bits, driving_torque, mass_matrix, open_circuit, plant_of,
-                           smooth_voltages)
+from arm_reference import arm_of, bits, driving_torque, mass_matrix, open_circuit, plant_of, smooth_voltages
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
@@ -30,10 +29,14 @@ from puma_sim_core.simulator import SERVO_PERIOD, Constraint, Simulator
 
 HOLD = Constraint("hold")
 MOTORS = arm_of("bejczy").motors
-R, L, KE, N = (np.array([getattr(m, name) for m in MOTORS])
-               for name in ("resistance", "inductance", "back_emf", "gear_ratio"))
-VISCOUS = ["viscous_friction:joint=1,coefficient=5.8", "viscous_friction:joint=2,coefficient=9.5",
-           "viscous_friction:joint=3,coefficient=4"]
+R, L, KE, N = (
+    np.array([getattr(m, name) for m in MOTORS]) for name in ("resistance", "inductance", "back_emf", "gear_ratio")
+)
+VISCOUS = [
+    "viscous_friction:joint=1,coefficient=5.8",
+    "viscous_friction:joint=2,coefficient=9.5",
+    "viscous_friction:joint=3,coefficient=4",
+]
 START = ((0.1, -1.2, 0.9), (0.8, -0.5, 0.7), (1.0, -2.0, 0.5))
 
 
@@ -64,26 +67,38 @@ def pulse(t, t0, width):
 
 #: name -> (effects, torque(t, q, qd) taken, factor of R at t, of H at t, of the voltage at i)
 CASES = {
-    "quadratic_friction": (everywhere("quadratic_friction:joint={},coefficient={}", 6, 9, 4),
-                           lambda t, q, qd: np.array([6, 9, 4]) * qd * np.abs(qd)),
-    "torque_ripple": (everywhere("torque_ripple:joint={},amplitude={},order=2,phase=0.4", 5, 9, 3),
-                      lambda t, q, qd: np.array([5, 9, 3]) * np.sin(2 * N * q + 0.4)),
-    "joint_spring": (everywhere("joint_spring:joint={},stiffness={},angle=0.3", 15, 20, 6),
-                     lambda t, q, qd: np.array([15, 20, 6]) * (q - 0.3)),
-    "base_tilt": (["base_tilt:x=0.11,y=-0.07"], lambda t, q, qd: (
-        turned_gravity(0.11, -0.07)(arm_of("bejczy"), q) - gravity_torque(q, arm_of("bejczy")))),
-    "impulse": (["impulse:joint=1,torque=120,time=0.2,width=0.1",
-                 "impulse:joint=3,torque=-60,time=0.3,width=0.06"],
-                lambda t, q, qd: np.array([-120 * pulse(t, 0.2, 0.1), 0,
-                                           60 * pulse(t, 0.3, 0.06)])),
-    "resistance_drift": (everywhere("resistance_drift:joint={},share={},time_constant=0.2",
-                                    0.3, 0.5, 0.1), None,
-                         lambda t: 1 + np.array([0.3, 0.5, 0.1]) * (1 - np.exp(-t / 0.2))),
-    "friction_warm_up": (everywhere("friction_warm_up:joint={},share={},time_constant=0.15",
-                                    0.8, 0.5, 1), None, None,
-                         lambda t: 1 - np.array([0.8, 0.5, 1]) * (1 - np.exp(-t / 0.15))),
-    "supply_droop": (["supply_droop:coefficient=0.02"], None, None, None,
-                     lambda i: max(1 - 0.02 * np.abs(i).sum(), 0)),
+    "quadratic_friction": (
+        everywhere("quadratic_friction:joint={},coefficient={}", 6, 9, 4),
+        lambda t, q, qd: np.array([6, 9, 4]) * qd * np.abs(qd),
+    ),
+    "torque_ripple": (
+        everywhere("torque_ripple:joint={},amplitude={},order=2,phase=0.4", 5, 9, 3),
+        lambda t, q, qd: np.array([5, 9, 3]) * np.sin(2 * N * q + 0.4),
+    ),
+    "joint_spring": (
+        everywhere("joint_spring:joint={},stiffness={},angle=0.3", 15, 20, 6),
+        lambda t, q, qd: np.array([15, 20, 6]) * (q - 0.3),
+    ),
+    "base_tilt": (
+        ["base_tilt:x=0.11,y=-0.07"],
+        lambda t, q, qd: turned_gravity(0.11, -0.07)(arm_of("bejczy"), q) - gravity_torque(q, arm_of("bejczy")),
+    ),
+    "impulse": (
+        ["impulse:joint=1,torque=120,time=0.2,width=0.1", "impulse:joint=3,torque=-60,time=0.3,width=0.06"],
+        lambda t, q, qd: np.array([-120 * pulse(t, 0.2, 0.1), 0, 60 * pulse(t, 0.3, 0.06)]),
+    ),
+    "resistance_drift": (
+        everywhere("resistance_drift:joint={},share={},time_constant=0.2", 0.3, 0.5, 0.1),
+        None,
+        lambda t: 1 + np.array([0.3, 0.5, 0.1]) * (1 - np.exp(-t / 0.2)),
+    ),
+    "friction_warm_up": (
+        everywhere("friction_warm_up:joint={},share={},time_constant=0.15", 0.8, 0.5, 1),
+        None,
+        None,
+        lambda t: 1 - np.array([0.8, 0.5, 1]) * (1 - np.exp(-t / 0.15)),
+    ),
+    "supply_droop": (["supply_droop:coefficient=0.02"], None, None, None, lambda i: max(1 - 0.02 * np.abs(i).sum(), 0)),
 }
 
 
@@ -98,8 +113,7 @@ def reference(plant, volts, torque=None, growth=None, thinning=None, supply=None
             b = b - torque(t, q, qd)
         v = volts * (supply(i) if supply else 1.0)
         r = R * (growth(t) if growth else 1.0)
-        return np.concatenate([qd, np.linalg.solve(mass_matrix(plant, q), b),
-                               (v - r * i - KE * N * qd) / L])
+        return np.concatenate([qd, np.linalg.solve(mass_matrix(plant, q), b), (v - r * i - KE * N * qd) / L])
 
     return f
 
@@ -108,8 +122,9 @@ def reference(plant, volts, torque=None, growth=None, thinning=None, supply=None
 def test_agrees_with_an_independent_integration(name):
     effects, *law = CASES[name]
     plant, volts = plant_of(*VISCOUS, *effects), np.array([14.0, -18.0, 9.0])
-    y = solve_ivp(reference(plant, volts, *law), (0.0, 0.4), np.concatenate(START), rtol=1e-9,
-                  atol=1e-11, max_step=0.01).y[:, -1]
+    y = solve_ivp(
+        reference(plant, volts, *law), (0.0, 0.4), np.concatenate(START), rtol=1e-9, atol=1e-11, max_step=0.01
+    ).y[:, -1]
     ends = {}
     for n in (2, 8):
         simulator = Simulator(plant, max_step=SERVO_PERIOD / n)
@@ -124,8 +139,9 @@ def test_agrees_with_an_independent_integration(name):
     assert ends[8] < 1e-8 or ends[8] < ends[2] / 12
 
 
-@pytest.mark.parametrize("name, extra", [("bejczy", "payload:mass=2,x=0.1,y=-0.2,z=0.3"),
-                                         ("armstrong", "payload:mass=0")])
+@pytest.mark.parametrize(
+    "name, extra", [("bejczy", "payload:mass=2,x=0.1,y=-0.2,z=0.3"), ("armstrong", "payload:mass=0")]
+)
 def test_a_leaning_base_feels_gravity_in_its_turned_direction(name, extra):
     plant = plant_of("base_tilt:x=-0.4,y=0.9", extra, name=name)
     level = Plant(replace(plant.arm, gravity=0.0), plant.effects[1:])
@@ -135,18 +151,15 @@ def test_a_leaning_base_feels_gravity_in_its_turned_direction(name, extra):
         for tried in (plant, level):
             simulator = Simulator(tried)
             simulator.reset(q)
-            found.append(simulator.run([0.0, 1e-3], np.zeros((2, 3)),
-                                       acceleration=True).acceleration[0])
+            found.append(simulator.run([0.0, 1e-3], np.zeros((2, 3)), acceleration=True).acceleration[0])
         torque = turned_gravity(-0.4, 0.9)(plant.loaded_arm, q)
-        np.testing.assert_allclose(mass_matrix(plant, q) @ (found[1] - found[0]), torque,
-                                   rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(mass_matrix(plant, q) @ (found[1] - found[0]), torque, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("step", [SERVO_PERIOD, 0.008])
 def test_a_blow_keeps_its_momentum_however_long_the_steps(step):
     arm = replace(arm_of("bejczy"), gravity=0.0)
-    plant = open_circuit(Plant(arm, plant_of("impulse:joint=1,torque=90,time=0.0417,width=0.011")
-                               .effects))
+    plant = open_circuit(Plant(arm, plant_of("impulse:joint=1,torque=90,time=0.0417,width=0.011").effects))
     simulator = Simulator(plant, constraints=(Constraint(), HOLD, HOLD), max_step=step)
     simulator.reset((0.0, -1.0, 0.5))
     simulator.step((0, 0, 0), 0.08)
@@ -165,12 +178,16 @@ def test_the_mean_of_a_pulse_is_its_integral(t, step, width):
 # ------------------------------------------------------------------------------- dry friction
 
 
-@pytest.mark.parametrize("joint, effect", [
-    (0, "position_dependent_friction:joint=1,torque=12,amplitude=9,angle=0.1"),
-    (1, "position_dependent_friction:joint=2,torque=8,amplitude=14,angle=-1.2"),
-    (1, "load_dependent_friction:joint=2,coefficient=0.3"),
-    (2, "load_dependent_friction:joint=3,coefficient=0.8"),
-    (0, "stribeck_friction:joint=1,torque=6,velocity=0.1,sliding=11")])
+@pytest.mark.parametrize(
+    "joint, effect",
+    [
+        (0, "position_dependent_friction:joint=1,torque=12,amplitude=9,angle=0.1"),
+        (1, "position_dependent_friction:joint=2,torque=8,amplitude=14,angle=-1.2"),
+        (1, "load_dependent_friction:joint=2,coefficient=0.3"),
+        (2, "load_dependent_friction:joint=3,coefficient=0.8"),
+        (0, "stribeck_friction:joint=1,torque=6,velocity=0.1,sliding=11"),
+    ],
+)
 def test_dry_friction_of_a_pose_sticks_and_slips_as_an_event_driven_integrator(joint, effect):
     plant = plant_of(*VISCOUS, effect)
     kind, values = effect.partition(":")[0], plant.effects[-1].values
@@ -180,8 +197,7 @@ def test_dry_friction_of_a_pose_sticks_and_slips_as_an_event_driven_integrator(j
             if kind == "load_dependent_friction":
                 return values["coefficient"] * abs(self.gravity(q))
             if kind == "stribeck_friction":
-                return values["sliding"] + values["torque"] * np.exp(
-                    -(speed / values["velocity"]) ** 2)
+                return values["sliding"] + values["torque"] * np.exp(-((speed / values["velocity"]) ** 2))
             return max(values["torque"] + values["amplitude"] * np.cos(q - values["angle"]), 0.0)
 
     kT, resistance = plant.torque_per_ampere[joint], R[joint]
@@ -196,8 +212,7 @@ def test_dry_friction_of_a_pose_sticks_and_slips_as_an_event_driven_integrator(j
         expected.append(truth.q)
     current = np.zeros(3)
     current[joint] = lift / resistance
-    simulator = Simulator(plant, constraints=[Constraint() if j == joint else HOLD
-                                              for j in range(3)])
+    simulator = Simulator(plant, constraints=[Constraint() if j == joint else HOLD for j in range(3)])
     simulator.reset(POSITION, current=current)
     run = simulator.run(time, volts)
     assert truth.stops > 2 and truth.starts > 1
@@ -213,8 +228,9 @@ def test_stribeck_friction_has_a_coulomb_level_of_its_own():
 def test_a_bristle_yields_at_the_level_of_its_pose():
     # pushed slowly, joint 3 slides where its load, not a constant, is the level
     for q, expected in ((0.2, 5.0 + 3.0 * np.cos(0.2)), (1.2, 5.0 + 3.0 * np.cos(1.2))):
-        plant = plant_of("presliding_friction:joint=1,stiffness=2e4",
-                         "position_dependent_friction:joint=1,torque=5,amplitude=3")
+        plant = plant_of(
+            "presliding_friction:joint=1,stiffness=2e4", "position_dependent_friction:joint=1,torque=5,amplitude=3"
+        )
         simulator = Simulator(plant, constraints=(Constraint("velocity", 1e-3), HOLD, HOLD))
         simulator.reset((q, -1.0, 0.5), (1e-3, 0, 0))
         simulator.step((0, 0, 0), 3.0)
@@ -232,8 +248,7 @@ def run(effects, time, volts, reset=START, **options):
 
 def same(ours, theirs, time, volts, other_volts=None):
     a, b = run(ours, time, volts), run(theirs, time, volts if other_volts is None else other_volts)
-    return bits(np.hstack([a.position, a.velocity, a.current])) == bits(
-        np.hstack([b.position, b.velocity, b.current]))
+    return bits(np.hstack([a.position, a.velocity, a.current])) == bits(np.hstack([b.position, b.velocity, b.current]))
 
 
 def test_dead_band_and_offset_are_those_of_the_terminals():
@@ -246,26 +261,37 @@ def test_dead_band_and_offset_are_those_of_the_terminals():
     lost = everywhere("voltage_offset:joint={},voltage={}", 0.4, -0.7, 0.2)
     assert same(band + lost, [], time, volts, left - (0.4, -0.7, 0.2))
     supply = everywhere("voltage_saturation:joint={},voltage={}", 4, 4, 4)
-    assert same(band + lost + supply, [], time, volts,
-                np.clip(left - (0.4, -0.7, 0.2), -4.0, 4.0))
+    assert same(band + lost + supply, [], time, volts, np.clip(left - (0.4, -0.7, 0.2), -4.0, 4.0))
 
 
 def test_what_the_amplifier_does_does_not_show_in_the_recorded_voltage():
     time, volts = smooth_voltages((6.0, 9.0, 5.0), 0.2)
-    effects = ["voltage_dead_band:joint=1,voltage=1", "voltage_offset:joint=2,voltage=1",
-               "supply_droop:coefficient=0.05", "input_delay:time=0.003"]
+    effects = [
+        "voltage_dead_band:joint=1,voltage=1",
+        "voltage_offset:joint=2,voltage=1",
+        "supply_droop:coefficient=0.05",
+        "input_delay:time=0.003",
+    ]
     assert bits(run(effects, time, volts).voltage) == bits(volts)
 
 
 # ------------------------------------------------------------------------------ runs and batches
 
 #: all that a run remembers or takes from its time
-LIBRARY = (*VISCOUS, "input_delay:time=0.0035", "impulse:joint=1,torque=80,time=0.3,width=0.05",
-           "resistance_drift:joint=2,share=0.3,time_constant=0.5", "base_tilt:x=0.03,y=0.02",
-           "friction_warm_up:joint=3,share=0.5,time_constant=0.4", "supply_droop:coefficient=0.01",
-           "sensor_lag:joint=1,time_constant=0.01", "encoder_offset:joint=2,angle=0.02",
-           "sensor_nonlinearity:joint=3,amplitude=0.004,period=0.7", "joint_spring:joint=1,"
-           "stiffness=10", "load_dependent_friction:joint=2,coefficient=0.1")
+LIBRARY = (
+    *VISCOUS,
+    "input_delay:time=0.0035",
+    "impulse:joint=1,torque=80,time=0.3,width=0.05",
+    "resistance_drift:joint=2,share=0.3,time_constant=0.5",
+    "base_tilt:x=0.03,y=0.02",
+    "friction_warm_up:joint=3,share=0.5,time_constant=0.4",
+    "supply_droop:coefficient=0.01",
+    "sensor_lag:joint=1,time_constant=0.01",
+    "encoder_offset:joint=2,angle=0.02",
+    "sensor_nonlinearity:joint=3,amplitude=0.004,period=0.7",
+    "joint_spring:joint=1,stiffness=10",
+    "load_dependent_friction:joint=2,coefficient=0.1",
+)
 
 
 def test_a_run_in_pieces_and_one_after_a_reset_are_the_run():

@@ -17,8 +17,7 @@ from test_rigid_body import central_inertia, mujoco_chain, mujoco_terms
 
 from puma_sim_core import printed_coefficients
 from puma_sim_core.parameters import load_parameters
-from puma_sim_core.rigid_body import (arm_pseudo_inertias, arm_table, trace_coriolis,
-                                      trace_gravity, trace_inertia)
+from puma_sim_core.rigid_body import arm_pseudo_inertias, arm_table, trace_coriolis, trace_gravity, trace_inertia
 from puma_sim_core.thesis import errata
 from puma_sim_core.thesis.errata import ERRATA
 from puma_sim_core.thesis.misprints import chapter_4, chapter_5, chapter_6, reference, references
@@ -64,13 +63,11 @@ def test_reference_mechanics_equal_the_trace_form(name):
     arm = load_parameters(name)
     bodies, table = arm_pseudo_inertias(arm), arm_table(arm)
     for q in reference.POSES:
-        np.testing.assert_allclose(reference.inertia(q, arm), trace_inertia(q, bodies, table),
-                                   rtol=0, atol=1e-12)
-        np.testing.assert_allclose(reference.coriolis(q, arm), trace_coriolis(q, bodies, table),
-                                   rtol=0, atol=1e-12)
-        np.testing.assert_allclose(reference.gravity(q, arm),
-                                   trace_gravity(q, bodies, table, arm.gravity),
-                                   rtol=0, atol=1e-12)
+        np.testing.assert_allclose(reference.inertia(q, arm), trace_inertia(q, bodies, table), rtol=0, atol=1e-12)
+        np.testing.assert_allclose(reference.coriolis(q, arm), trace_coriolis(q, bodies, table), rtol=0, atol=1e-12)
+        np.testing.assert_allclose(
+            reference.gravity(q, arm), trace_gravity(q, bodies, table, arm.gravity), rtol=0, atol=1e-12
+        )
 
 
 def test_reference_mechanics_equal_mujoco():
@@ -79,27 +76,29 @@ def test_reference_mechanics_equal_mujoco():
     model, data = mujoco_chain(arm_table(arm), bodies, arm.motor_inertia, arm.gravity)
     for q, qd, qdd in zip(reference.POSES, reference.RATES, reference.ACCELERATIONS):
         mass, bias, _ = mujoco_terms(model, data, q, qd)
-        np.testing.assert_allclose(reference.torque(q, qd, qdd, arm), mass @ qdd + bias,
-                                   rtol=0, atol=1e-11)
+        np.testing.assert_allclose(reference.torque(q, qd, qdd, arm), mass @ qdd + bias, rtol=0, atol=1e-11)
 
 
 def test_torque_rate_is_that_of_a_motion():
     # angles are cubic in time: the rate of the torque along them, by a central difference
     h = 1e-5
     for q, qd, qdd, qddd in chapter_5.states()[:4]:
-        ends = [chapter_5.joint_torque(q + t * qd + t**2 / 2 * qdd + t**3 / 6 * qddd,
-                                       qd + t * qdd + t**2 / 2 * qddd, qdd + t * qddd)
-                for t in (h, -h)]
-        np.testing.assert_allclose(chapter_5.torque_rate(q, qd, qdd, qddd),
-                                   (ends[0] - ends[1]) / (2 * h), rtol=0, atol=1e-5)
+        ends = [
+            chapter_5.joint_torque(
+                q + t * qd + t**2 / 2 * qdd + t**3 / 6 * qddd, qd + t * qdd + t**2 / 2 * qddd, qdd + t * qddd
+            )
+            for t in (h, -h)
+        ]
+        np.testing.assert_allclose(
+            chapter_5.torque_rate(q, qd, qdd, qddd), (ends[0] - ends[1]) / (2 * h), rtol=0, atol=1e-5
+        )
 
 
 def test_jacobian_is_the_slope_of_the_rates():
     state, v = np.linspace(-0.8, 0.9, 9), np.array([20.0, -15.0, 10.0])
     slope = chapter_6.jacobian(state, v)
     for k, unit in enumerate(np.eye(9)):
-        difference = (chapter_6.rates(state + 1e-6 * unit, v)
-                      - chapter_6.rates(state - 1e-6 * unit, v)) / 2e-6
+        difference = (chapter_6.rates(state + 1e-6 * unit, v) - chapter_6.rates(state - 1e-6 * unit, v)) / 2e-6
         np.testing.assert_allclose(slope[:, k], difference, rtol=1e-6, atol=1e-5)
 
 
@@ -130,35 +129,41 @@ def test_eigenvalues_that_the_row_on_section_6_3_quotes():
     for sign in (1, -1):
         lowest = reference.inertia(np.array([0, sign * math.pi / 2, -math.pi / 2]))
         assert np.linalg.eigvalsh(lowest)[0] == pytest.approx(-0.405, abs=5e-4)
-    least = min(np.linalg.eigvalsh(reference.inertia(np.radians([0, q2, q3])) + added)[0]
-                for q2 in range(-180, 180, 15) for q3 in range(-180, 180, 15))
+    least = min(
+        np.linalg.eigvalsh(reference.inertia(np.radians([0, q2, q3])) + added)[0]
+        for q2 in range(-180, 180, 15)
+        for q3 in range(-180, 180, 15)
+    )
     assert 0.760 <= least < 0.80
 
 
 def test_only_the_captions_that_differ_from_the_text_are_listed():
     listed = {erratum.key.split()[1] for erratum in ERRATA if erratum.key.startswith("caption")}
-    differ = {plot for plot in references.TEXT
-              if references.TEXT[plot] != references.CAPTIONS[plot]}
-    differ |= {plot for plot in references.VOLTAGE_PLOTS
-               if references.VOLTAGE_PLOTS[plot] != references.VOLTAGE_CAPTIONS[plot]}
+    differ = {plot for plot in references.TEXT if references.TEXT[plot] != references.CAPTIONS[plot]}
+    differ |= {
+        plot for plot in references.VOLTAGE_PLOTS if references.VOLTAGE_PLOTS[plot] != references.VOLTAGE_CAPTIONS[plot]
+    }
     assert listed == differ
 
 
 # --------------------------------------------------------------------------------- the evidence
 
 
-@pytest.mark.parametrize("reference_, correct, printed, tolerance, proved", [
-    (1.0, 1.0, 2.0, 0.0, True),
-    (1.0, 1.0, 1.0, 0.0, False),            # no difference: no misprint
-    (1.0, 2.0, 1.0, 0.0, False),            # exchanged
-    (1.0, 1.0, 1.2, 0.1, False),            # too near to be told from the tolerance
-    ([1.0, 2.0], [1.0, 2.0], [1.0, 2.5], 1e-9, True),
-    ([1.0, 2.0], [1.0, 2.0], 1.0, 1e-9, True),  # of another shape
-    ("9 x 3", "9 x 3", "3 x 9", 0.0, True),
-    (frozenset("ab"), frozenset("ab"), frozenset("a"), 0.0, True),
-    (Between(0.0, math.inf), 0.7, -0.4, 0.0, True),
-    (Between(0.0, 1.0), 0.7, 0.9, 0.0, False),
-])
+@pytest.mark.parametrize(
+    "reference_, correct, printed, tolerance, proved",
+    [
+        (1.0, 1.0, 2.0, 0.0, True),
+        (1.0, 1.0, 1.0, 0.0, False),  # no difference: no misprint
+        (1.0, 2.0, 1.0, 0.0, False),  # exchanged
+        (1.0, 1.0, 1.2, 0.1, False),  # too near to be told from the tolerance
+        ([1.0, 2.0], [1.0, 2.0], [1.0, 2.5], 1e-9, True),
+        ([1.0, 2.0], [1.0, 2.0], 1.0, 1e-9, True),  # of another shape
+        ("9 x 3", "9 x 3", "3 x 9", 0.0, True),
+        (frozenset("ab"), frozenset("ab"), frozenset("a"), 0.0, True),
+        (Between(0.0, math.inf), 0.7, -0.4, 0.0, True),
+        (Between(0.0, 1.0), 0.7, 0.9, 0.0, False),
+    ],
+)
 def test_what_counts_as_proof(reference_, correct, printed, tolerance, proved):
     assert Evidence("x", "", "test", reference_, correct, printed, tolerance).proved is proved
 

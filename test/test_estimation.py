@@ -9,12 +9,20 @@ import pytest
 
 from puma_sim_core.backend import BACKEND
 from puma_sim_core.errors import ParameterError
-from puma_sim_core.estimation import (START_SPREAD, Instrument, _whitener, estimate,
-                                      record_from_servo, with_gyration)
+from puma_sim_core.estimation import START_SPREAD, Instrument, _whitener, estimate, record_from_servo, with_gyration
 from puma_sim_core.rigid_body import inertia, lumped_constants
 from puma_sim_core.thesis.motions import UPRIGHT
-from puma_sim_core.thesis.radii import (LUMPS, SCALED, WAIST, Campaign, demand, gyration, lumps,
-                                        with_friction, with_lumps)
+from puma_sim_core.thesis.radii import (
+    LUMPS,
+    SCALED,
+    WAIST,
+    Campaign,
+    demand,
+    gyration,
+    lumps,
+    with_friction,
+    with_lumps,
+)
 from puma_sim_core.thesis.registry import Context
 
 compiled_only = pytest.mark.skipif(BACKEND != "numba", reason="many runs: compiled kernel only")
@@ -62,8 +70,13 @@ def test_spread_of_open_loop_angles_is_what_the_weights_assume(campaign):
     residuals = []
     for n in range(120):
         record, _ = record_from_servo(
-            plant, demand(UPRIGHT, 1, 1.0, 1.6), joint=1, instrument=campaign.instrument,
-            rng=np.random.default_rng(n), servo=campaign.servo)
+            plant,
+            demand(UPRIGHT, 1, 1.0, 1.6),
+            joint=1,
+            instrument=campaign.instrument,
+            rng=np.random.default_rng(n),
+            servo=campaign.servo,
+        )
         residuals.append(record.simulated(plant)[:, 0] - record.angle[:, 0])
     residuals = np.array(residuals)
     L = np.linalg.inv(_whitener(record, 1, plant, campaign.instrument))
@@ -73,7 +86,7 @@ def test_spread_of_open_loop_angles_is_what_the_weights_assume(campaign):
     weights = np.eye(len(L))[moving] - np.where(np.arange(len(L)) < 20, 0.05, 0.0)
     predicted = np.sqrt(((weights @ L) ** 2).sum(axis=1))
     ratio = contrast.std(axis=0) / predicted
-    assert 0.8 < ratio.min() and ratio.max() < 1.2, ratio
+    assert ratio.min() > 0.8 and ratio.max() < 1.2, ratio
 
 
 @pytest.mark.long
@@ -85,14 +98,14 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
         hidden = c.hidden(1)
         weights = {n: hidden.arm.links[int(n[1]) - 1].mass for n in SCALED}
         scale = sum(m * gyration(c.nominal, n) for n, m in weights.items())
-        found = [(c.elbow.of("k3yy"), gyration(hidden, "k3yy")),
-                 (c.shoulder.of("k2zz"), gyration(hidden, "k2zz")),
-                 (c.upright.combined({"factor": scale}),
-                  sum(m * gyration(hidden, n) for n, m in weights.items())),
-                 *((c.waist.of(n), v) for n, v in zip(LUMPS, lumps(hidden)))]
+        found = [
+            (c.elbow.of("k3yy"), gyration(hidden, "k3yy")),
+            (c.shoulder.of("k2zz"), gyration(hidden, "k2zz")),
+            (c.upright.combined({"factor": scale}), sum(m * gyration(hidden, n) for n, m in weights.items())),
+            *((c.waist.of(n), v) for n, v in zip(LUMPS, lumps(hidden))),
+        ]
         covered += [low <= true <= high for (_, low, high), true in found]
-        worst = max(worst, *(abs(value - true) / (high - low)
-                             for (value, low, high), true in found))
+        worst = max(worst, *(abs(value - true) / (high - low) for (value, low, high), true in found))
         assert all(fit.probability > 1e-4 for fit in (c.elbow, c.shoulder, c.upright, c.waist))
     # 84 intervals of 95 per cent: fewer than 74 would happen once in a thousand times
     assert sum(covered) >= 74
@@ -112,35 +125,44 @@ def test_five_radii_enter_the_equations_of_motion_as_three_sums(campaign):
     nominal = campaign.nominal
     m1, m2, m3 = (link.mass for link in nominal.arm.links)
     k = {name: gyration(nominal, name) for name in WAIST}
-    other = with_gyration(nominal, {
-        "k1yy": k["k1yy"] - (m2 * 0.004 - m3 * 0.01) / m1, "k2xx": k["k2xx"] + 0.004,
-        "k2yy": k["k2yy"] + 0.004, "k3xx": k["k3xx"] - 0.01, "k3zz": k["k3zz"] - 0.01})
-    np.testing.assert_allclose(lumped_constants(other.arm), lumped_constants(nominal.arm),
-                               rtol=0, atol=1e-14)
+    other = with_gyration(
+        nominal,
+        {
+            "k1yy": k["k1yy"] - (m2 * 0.004 - m3 * 0.01) / m1,
+            "k2xx": k["k2xx"] + 0.004,
+            "k2yy": k["k2yy"] + 0.004,
+            "k3xx": k["k3xx"] - 0.01,
+            "k3zz": k["k3zz"] - 0.01,
+        },
+    )
+    np.testing.assert_allclose(lumped_constants(other.arm), lumped_constants(nominal.arm), rtol=0, atol=1e-14)
     np.testing.assert_allclose(lumps(other), lumps(nominal), rtol=1e-13)
-    np.testing.assert_allclose(lumps(with_lumps(nominal, 1.7, 2.9, -0.3)), (1.7, 2.9, -0.3),
-                               rtol=1e-13)
+    np.testing.assert_allclose(lumps(with_lumps(nominal, 1.7, 2.9, -0.3)), (1.7, 2.9, -0.3), rtol=1e-13)
 
 
 def test_parameters_that_a_test_cannot_tell_apart_are_refused(campaign):
     def model(x):
-        return with_friction(with_gyration(campaign.nominal, {"k1yy": x[0], "k2xx": x[1]}), 1,
-                             8.0, 6.0)
+        return with_friction(with_gyration(campaign.nominal, {"k1yy": x[0], "k2xx": x[1]}), 1, 8.0, 6.0)
 
     with pytest.raises(ParameterError, match="do not tell k1yy, k2xx apart"):
-        estimate(model, campaign.upright_records[:1], ("k1yy", "k2xx"), (0.0152, 0.0596),
-                 campaign.instrument)
+        estimate(model, campaign.upright_records[:1], ("k1yy", "k2xx"), (0.0152, 0.0596), campaign.instrument)
 
 
 def test_parameters_that_do_nothing_are_refused(campaign):
     with pytest.raises(ParameterError, match="do not depend on k2zz"):
-        estimate(lambda x: with_gyration(campaign.nominal, {"k3yy": x[0], "k2zz": x[1]}),
-                 campaign.elbow_records[:1], ("k3yy", "k2zz"), (0.0786, 0.1514),
-                 campaign.instrument)
+        estimate(
+            lambda x: with_gyration(campaign.nominal, {"k3yy": x[0], "k2zz": x[1]}),
+            campaign.elbow_records[:1],
+            ("k3yy", "k2zz"),
+            (0.0786, 0.1514),
+            campaign.instrument,
+        )
 
 
-@pytest.mark.parametrize("records, guess, text", [
-    ([], (0.1,), "no records"), (None, (0.0,), "other than 0"), (None, (0.1, 0.2), "1 numbers")])
+@pytest.mark.parametrize(
+    "records, guess, text",
+    [([], (0.1,), "no records"), (None, (0.0,), "other than 0"), (None, (0.1, 0.2), "1 numbers")],
+)
 def test_estimation_without_records_or_scale_is_refused(campaign, records, guess, text):
     records = campaign.elbow_records if records is None else records
     with pytest.raises(ParameterError, match=text):
@@ -157,18 +179,20 @@ def test_weights_are_the_inverse_of_the_covariance_summed_voltage_by_voltage(cam
     record, plant, instrument = campaign.upright_records[0], campaign.hidden(1), campaign.instrument
     motor, torque = plant.arm.motors[0], plant.torque_per_ampere[0]
     M = float(inertia(np.array(UPRIGHT), plant.arm)[0, 0]) + motor.inertia
-    slope = (motor.back_emf * motor.gear_ratio
-             + motor.resistance * plant.viscous_friction[0] / torque)
+    slope = motor.back_emf * motor.gear_ratio + motor.resistance * plant.viscous_friction[0] / torque
     lag = motor.resistance * M / (torque * slope)
-    t, h = record.time[::record.every], record.time[1]
+    t, h = record.time[:: record.every], record.time[1]
 
     def ramp(age):
         return np.where(age > 0.0, age - lag * (1.0 - np.exp(-np.maximum(age, 0.0) / lag)), 0.0)
 
     age = t[:, None] - record.time[None, :-1]
     reply = (ramp(age) - ramp(age - h)) / slope
-    covariance = (instrument.angle_deviation(1) ** 2 * np.eye(len(t)) + START_SPREAD ** 2
-                  + instrument.voltage_deviation ** 2 * reply @ reply.T)
+    covariance = (
+        instrument.angle_deviation(1) ** 2 * np.eye(len(t))
+        + START_SPREAD**2
+        + instrument.voltage_deviation**2 * reply @ reply.T
+    )
     W = _whitener(record, 1, plant, instrument)
-    assert (W == np.tril(W)).all()
+    assert (np.tril(W) == W).all()
     np.testing.assert_allclose(W @ covariance @ W.T, np.eye(len(t)), rtol=0, atol=1e-10)

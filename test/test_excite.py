@@ -16,7 +16,6 @@ from puma_sim_core.effects import KINDS, parse_effect
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.loop import explain
 from puma_sim_core.loop.design import design, suspects_of
-from puma_sim_core.loop.selected import LEAST_GAIN
 from puma_sim_core.loop.evidence import screen
 from puma_sim_core.loop.excitation import Builder, Limits, voltages
 from puma_sim_core.loop.ingest import Log
@@ -25,6 +24,7 @@ from puma_sim_core.loop.problem import Problem
 from puma_sim_core.loop.result import Hypothesis
 from puma_sim_core.loop.sampling import sample
 from puma_sim_core.loop.search import Search
+from puma_sim_core.loop.selected import LEAST_GAIN
 from puma_sim_core.loop.separation import Judge, _Parameters, play
 from puma_sim_core.mechanisms import load_mechanism
 from puma_sim_core.plant import dump_model
@@ -33,16 +33,17 @@ from puma_sim_core.simulator import SERVO_PERIOD, Simulator
 
 MACHINES = {name: load_mechanism(name) for name in ("puma560", "pendulum", "slide")}
 #: what each machine is asked for here
-ASKED = {"puma560": "load_dependent_friction@2,position_dependent_friction@2",
-         "pendulum": "stribeck_friction,coulomb_friction",
-         "slide": "coulomb_friction,voltage_offset"}
+ASKED = {
+    "puma560": "load_dependent_friction@2,position_dependent_friction@2",
+    "pendulum": "stribeck_friction,coulomb_friction",
+    "slide": "coulomb_friction,voltage_offset",
+}
 
 
 def designed(name, separate, **options):
     """A short search."""
     machine = MACHINES[name]
-    return design(machine, suspects_of(separate.split(","), machine),
-                  **{"motions": 16, "seconds": 6.0, **options})
+    return design(machine, suspects_of(separate.split(","), machine), **{"motions": 16, "seconds": 6.0, **options})
 
 
 @pytest.fixture(scope="module")
@@ -109,27 +110,30 @@ def test_machines_that_are_not_the_model_stay_within_their_ranges(name, designs)
     found, machine = designs[name], MACHINES[name]
     low, high = np.array(machine.ranges).T
     rng = np.random.default_rng(77)
-    usual = [(), *Judge(Builder(machine, Limits.of(machine), 6.0), suspects_of(
-        ASKED[name].split(","), machine)).usual]
+    usual = [(), *Judge(Builder(machine, Limits.of(machine), 6.0), suspects_of(ASKED[name].split(","), machine)).usual]
     assert (np.abs(found.voltage) <= Limits.of(machine).voltage).all()
     for n in range(9):
         theta = machine.start * (1.0 + rng.uniform(-0.08, 0.08, len(machine.start)))
-        position = play(machine.plant(theta, usual[n % 3]), found.motion, found.time,
-                        found.voltage)
+        position = play(machine.plant(theta, usual[n % 3]), found.motion, found.time, found.voltage)
         assert (position > low).all() and (position < high).all()
 
 
 def test_voltages_of_a_model_with_effects_make_up_for_them():
     machine = MACHINES["puma560"]
-    dry = machine.of_plant(machine.plant(None, [
-        parse_effect("coulomb_friction:joint=1,torque=15"),
-        parse_effect("voltage_dead_band:joint=2,voltage=0.6")]))
+    dry = machine.of_plant(
+        machine.plant(
+            None,
+            [parse_effect("coulomb_friction:joint=1,torque=15"), parse_effect("voltage_dead_band:joint=2,voltage=0.6")],
+        )
+    )
     motion = Builder(machine, Limits.of(machine), 6.0).plain()
     time = np.arange(int(6.0 / SERVO_PERIOD)) * SERVO_PERIOD
     noise = np.full(3, 1e-3)
     plan = motion.at(time)[0]
-    blind, aware = (np.abs(play(dry.plant(), motion, time, voltages(m, motion, time, noise)) - plan)
-                    .max(axis=0)[:2] for m in (machine, dry))
+    blind, aware = (
+        np.abs(play(dry.plant(), motion, time, voltages(m, motion, time, noise)) - plan).max(axis=0)[:2]
+        for m in (machine, dry)
+    )
     assert (aware < 0.25 * blind).all()
 
 
@@ -144,14 +148,15 @@ def test_what_is_left_of_an_effect_is_that_of_least_squares():
     motion = builder.random(np.random.default_rng(3), frozenset({1}))
     signals = judge.planned(motion)
     base = _Parameters(machine, signals)
-    (one,), (other,) = ([(c, X) for c, X in zip(cs, base.reduced(cs))] for cs in (
-        s.kind.screening.candidates(signals, s.joint) for s in judge.suspects))
+    (one,), (other,) = (
+        [(c, X) for c, X in zip(cs, base.reduced(cs))]
+        for cs in (s.kind.screening.candidates(signals, s.joint) for s in judge.suspects)
+    )
     p = base.N.shape[1]
     for (candidate, X), against, n in ((one, other, 0), (other, one, 1)):
         half = 0.0
         root = np.vstack([candidate.mean, np.diag(candidate.deviation)])
-        design_matrix = np.block([[base.N, against[1]],
-                                  [np.eye(p), np.zeros((p, against[1].shape[1]))]])
+        design_matrix = np.block([[base.N, against[1]], [np.eye(p), np.zeros((p, against[1].shape[1]))]])
         for coefficients in root:
             target = np.r_[X @ coefficients, np.zeros(p)]
             fit = np.linalg.lstsq(design_matrix, target, rcond=None)[0]
@@ -185,7 +190,7 @@ def test_exact_ties_are_reported_as_impossible():
     # without gravity two springs on one joint differ in nothing: as an effect and its own copy
     twin = replace(KINDS["joint_spring"], name="other_spring")
     machine = MACHINES["slide"]
-    one, = suspects_of(["joint_spring"], machine)
+    (one,) = suspects_of(["joint_spring"], machine)
     with pytest.raises(ParameterError, match="joint_spring@1 and other_spring@1 are an exact tie"):
         design(machine, (one, replace(one, kind=twin)), seconds=4.0, motions=8)
 
@@ -204,8 +209,26 @@ def test_simulate_takes_the_file_and_the_pose(tmp_path, capsys, quick):
     path, plan, out = (str(tmp_path / name) for name in ("volts.csv", "plan.csv", "run.csv"))
     model = tmp_path / "model.yaml"
     dump_model(MACHINES["pendulum"].plant(), model)
-    assert main(["excite", "--plant", "pendulum", "--separate", "joint_spring", "--seconds", "3",
-                 "--rate", "500", "--out", path, "--setpoints", plan]) == 0
+    assert (
+        main(
+            [
+                "excite",
+                "--plant",
+                "pendulum",
+                "--separate",
+                "joint_spring",
+                "--seconds",
+                "3",
+                "--rate",
+                "500",
+                "--out",
+                path,
+                "--setpoints",
+                plan,
+            ]
+        )
+        == 0
+    )
     told = capsys.readouterr().err
     lines = Path(path).read_text().splitlines()
     head = [line[2:] for line in lines if line.startswith("# ")]
@@ -218,24 +241,27 @@ def test_simulate_takes_the_file_and_the_pose(tmp_path, capsys, quick):
     assert np.abs(run.position - wanted).max() < 0.02 and np.ptp(wanted) > 0.1
 
 
-@pytest.mark.parametrize("arguments, expected", [
-    (["--separate", "viscous_friction@1"], "back-EMF"),
-    (["--separate", "impulse@1"], "cannot be brought about"),
-    (["--separate", "stiction@1"], "unknown effect 'stiction'"),
-    (["--separate", "coulomb_friction"], "coulomb_friction@1 to coulomb_friction@3"),
-    (["--separate", "coulomb_friction", "--joint", "4"], "joint 4"),
-    (["--separate", "coulomb_friction@two"], "joint 'two'"),
-    (["--separate", "payload@3"], "the whole arm"),
-    (["--separate", "coulomb_friction@2,coulomb_friction", "--joint", "2"], "twice"),
-    (["--separate", "payload,base_tilt,input_delay"], "one or two"),
-    (["--separate", ""], "unknown effect ''"),
-    (["--plant", "pendulum", "--separate", "base_tilt"], "no meaning on pendulum"),
-    (["--separate", "payload", "--seconds", "1"], "2 to 600 s"),
-    (["--separate", "payload", "--rate", "50"], "100 at least"),
-    (["--separate", "payload", "--seconds", "600", "--rate", "1e5"], "300000 rows"),
-    (["--separate", "payload", "--max-voltage", "0"], "above 0"),
-    (["--separate", "payload", "--plant", "puma561"], "puma561"),
-])
+@pytest.mark.parametrize(
+    "arguments, expected",
+    [
+        (["--separate", "viscous_friction@1"], "back-EMF"),
+        (["--separate", "impulse@1"], "cannot be brought about"),
+        (["--separate", "stiction@1"], "unknown effect 'stiction'"),
+        (["--separate", "coulomb_friction"], "coulomb_friction@1 to coulomb_friction@3"),
+        (["--separate", "coulomb_friction", "--joint", "4"], "joint 4"),
+        (["--separate", "coulomb_friction@two"], "joint 'two'"),
+        (["--separate", "payload@3"], "the whole arm"),
+        (["--separate", "coulomb_friction@2,coulomb_friction", "--joint", "2"], "twice"),
+        (["--separate", "payload,base_tilt,input_delay"], "one or two"),
+        (["--separate", ""], "unknown effect ''"),
+        (["--plant", "pendulum", "--separate", "base_tilt"], "no meaning on pendulum"),
+        (["--separate", "payload", "--seconds", "1"], "2 to 600 s"),
+        (["--separate", "payload", "--rate", "50"], "100 at least"),
+        (["--separate", "payload", "--seconds", "600", "--rate", "1e5"], "300000 rows"),
+        (["--separate", "payload", "--max-voltage", "0"], "above 0"),
+        (["--separate", "payload", "--plant", "puma561"], "puma561"),
+    ],
+)
 def test_what_cannot_be_excited_is_one_clear_line(arguments, expected, tmp_path, capsys):
     out = tmp_path / "volts.csv"
     assert main(["excite", "--out", str(out), *arguments]) == 2
@@ -249,11 +275,12 @@ def test_what_cannot_be_excited_is_one_clear_line(arguments, expected, tmp_path,
 
 def test_the_first_tie_is_to_be_broken():
     machine = MACHINES["puma560"]
-    ties = [(Hypothesis("coulomb_friction", 2), Hypothesis("asymmetric_coulomb_friction", 2)),
-            (Hypothesis("impulse", 2), Hypothesis("backlash", 2)),
-            (Hypothesis("coulomb_friction", 2), Hypothesis("voltage_dead_band", 2))]
-    found = next_experiment(machine, ties, [Hypothesis("payload", None)], "monday.csv",
-                            parameters="my set.yaml")
+    ties = [
+        (Hypothesis("coulomb_friction", 2), Hypothesis("asymmetric_coulomb_friction", 2)),
+        (Hypothesis("impulse", 2), Hypothesis("backlash", 2)),
+        (Hypothesis("coulomb_friction", 2), Hypothesis("voltage_dead_band", 2)),
+    ]
+    found = next_experiment(machine, ties, [Hypothesis("payload", None)], "monday.csv", parameters="my set.yaml")
     # the simpler of two that contain each other stands, and nobody can ask for a blow
     assert found.separate == ties[2]
     assert "monday.csv" in found.sentence and "gravity drives the joint" in found.sentence
@@ -263,14 +290,12 @@ def test_the_first_tie_is_to_be_broken():
     words = shlex.split(found.command)
     options = parser().parse_args(words[1:])
     assert words[0] == "puma-sim" and options.parameters == "my set.yaml"
-    assert [s.label for s in suspects_of(options.separate.split(","), machine)] == list(
-        map(label, ties[2]))
+    assert [s.label for s in suspects_of(options.separate.split(","), machine)] == list(map(label, ties[2]))
 
 
 def test_else_what_the_log_did_not_excite():
     machine = MACHINES["pendulum"]
-    unseen = [Hypothesis("payload", None), Hypothesis("base_tilt", None),
-              Hypothesis("torque_ripple", 1)]
+    unseen = [Hypothesis("payload", None), Hypothesis("base_tilt", None), Hypothesis("torque_ripple", 1)]
     found = next_experiment(machine, [], unseen, "log.csv")
     assert found.separate == (Hypothesis("torque_ripple", 1),)
     assert next_experiment(machine, [], unseen[:2], "log.csv").separate == (unseen[0],)
@@ -305,12 +330,11 @@ def gains(machine, log, names):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("truth", ("encoder_offset:joint=1,angle=0.03",
-                                   "voltage_offset:joint=1,voltage=0.15"))
+@pytest.mark.parametrize("truth", ("encoder_offset:joint=1,angle=0.03", "voltage_offset:joint=1,voltage=0.15"))
 def test_a_tie_is_broken_by_the_excitation_for_it(truth):
     """A small slow sine cannot tell a sensor's offset from the amplifier's; what is written can."""
     machine, names = MACHINES["pendulum"], ("encoder_offset", "voltage_offset")
-    other, = set(names) - {truth.partition(":")[0]}
+    (other,) = set(names) - {truth.partition(":")[0]}
     slow = Builder(machine, Limits.of(machine), 8.0).plain()
     slow = slow.shrunk(np.array([0.1]), slow.centre)
     poor = gains(machine, recorded(machine, slow, truth), names)
@@ -326,8 +350,7 @@ def test_a_tie_is_broken_by_the_excitation_for_it(truth):
 def measured(machine, truth, time, volts, start, seed):
     """A log of a machine with wrong parameters under voltages, with noise and counts."""
     rng = np.random.default_rng(seed)
-    theta = machine.start * (1.0 + np.random.default_rng(4).uniform(-0.05, 0.05,
-                                                                    len(machine.start)))
+    theta = machine.start * (1.0 + np.random.default_rng(4).uniform(-0.05, 0.05, len(machine.start)))
     simulator = Simulator(machine.plant(theta, [parse_effect(truth)]), max_step=1e-3)
     simulator.reset(start)
     position = simulator.run(time, volts + 0.02 * rng.normal(size=volts.shape)).position
@@ -338,13 +361,12 @@ def measured(machine, truth, time, volts, start, seed):
 def told(explanation):
     """(name, names it is tied with) of the only effect."""
     assert explanation.verdict == "NAMED"
-    effect, = explanation.effects
+    (effect,) = explanation.effects
     return effect.name, {tie.name for tie in effect.tied_with}
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("truth", ("encoder_offset:joint=1,angle=0.03",
-                                   "voltage_offset:joint=1,voltage=0.15"))
+@pytest.mark.parametrize("truth", ("encoder_offset:joint=1,angle=0.03", "voltage_offset:joint=1,voltage=0.15"))
 def test_the_log_of_what_is_written_breaks_the_tie_that_explain_reported(truth, tmp_path):
     """The whole way: a poor log, the command that its report gives, and the log of what that
     wrote, explained."""
@@ -362,11 +384,25 @@ def test_the_log_of_what_is_written_breaks_the_tie_that_explain_reported(truth, 
     asked = parser().parse_args(shlex.split(before.next_experiment.command)[1:])
     assert first + "@1" in asked.separate
     path = tmp_path / "volts.csv"
-    assert main(["excite", "--plant", asked.plant, "--seconds", "8", "--rate", "400",
-                 "--separate", ",".join(f"{each}@1" for each in sorted(pair)),
-                 "--out", str(path)]) == 0
-    pose, = (line.split()[-2] for line in path.read_text().splitlines()
-             if line.startswith("# start"))
+    assert (
+        main(
+            [
+                "excite",
+                "--plant",
+                asked.plant,
+                "--seconds",
+                "8",
+                "--rate",
+                "400",
+                "--separate",
+                ",".join(f"{each}@1" for each in sorted(pair)),
+                "--out",
+                str(path),
+            ]
+        )
+        == 0
+    )
+    (pose,) = (line.split()[-2] for line in path.read_text().splitlines() if line.startswith("# start"))
     run = read_csv(path, ("voltage",), joints=1)
     good = measured(machine, truth, run.time, run.voltage, (float(pose),), 2)
     for logs in (good, [poor, good]):

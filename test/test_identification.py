@@ -9,15 +9,14 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from controller_records import COUNT, H, VOLT_STEP, record
+from controller_records import COUNT, VOLT_STEP, H, record
 
 from puma_sim_core.control.bounded_error import Enclosure
 from puma_sim_core.control.controller_log import ControllerLog, lattice_step
 from puma_sim_core.control.identification import compare_gains, identify_pid
 from puma_sim_core.control.least_squares import RecursiveLeastSquares
 from puma_sim_core.control.pid import PidGains, recursive_coefficients
-from puma_sim_core.control.transfer_function import (METHODS, identify_transfer_function,
-                                                     implied_gains, poles)
+from puma_sim_core.control.transfer_function import METHODS, identify_transfer_function, implied_gains, poles
 from puma_sim_core.errors import ParameterError, RecordingError
 
 pytestmark = pytest.mark.long
@@ -64,8 +63,11 @@ def test_the_recursion_says_when_rows_do_not_determine_the_parameters():
     assert not recursion.determined
     with pytest.raises(ParameterError, match="5 rows do not determine 2 parameters"):
         recursion.estimate
-    for bad in (dict(rows=[1.0], values=1.0), dict(rows=[1.0, np.nan], values=1.0),
-                dict(rows=[[1.0, 2.0]], values=[1.0, 2.0])):
+    for bad in (
+        dict(rows=[1.0], values=1.0),
+        dict(rows=[1.0, np.nan], values=1.0),
+        dict(rows=[[1.0, 2.0]], values=[1.0, 2.0]),
+    ):
         with pytest.raises(ParameterError, match="expected"):
             recursion.update(**bad)
     for factor in (0.0, -0.5, 1.01, "1"):
@@ -106,8 +108,7 @@ def test_a_free_denominator_is_found_exactly_without_rounding(method, order):
     a = [c.value for c in found.denominator]
     assert a == pytest.approx([-1.0, 0.0][:order], abs=1e-7)
     assert found.poles[0] == pytest.approx(1.0, abs=1e-6)
-    assert found.coefficients == pytest.approx(
-        identify_pid(record(GAINS, 3, **EXACT)).coefficients, rel=1e-6)
+    assert found.coefficients == pytest.approx(identify_pid(record(GAINS, 3, **EXACT)).coefficients, rel=1e-6)
 
 
 def test_poles_are_the_roots_of_the_denominator():
@@ -123,12 +124,13 @@ def test_the_rounding_of_a_record_is_seen():
     assert found.rounding_only
     assert found.voltage_step == pytest.approx(VOLT_STEP, rel=1e-9)
     assert found.position_step == pytest.approx(COUNT, rel=1e-9)
-    assert found.residual == pytest.approx(VOLT_STEP / 12.0 ** 0.5, rel=0.05)
+    assert found.residual == pytest.approx(VOLT_STEP / 12.0**0.5, rel=0.05)
     assert not identify_pid(record(GAINS, 0, noise=0.01)).rounding_only
 
 
-@pytest.mark.parametrize("gains", [GAINS, (137.0, 0.315, 0.0), (20.0, 3.0, 0.002),
-                                   (900.0, 0.2, 0.01), (50.0, 1e9, 0.005)])
+@pytest.mark.parametrize(
+    "gains", [GAINS, (137.0, 0.315, 0.0), (20.0, 3.0, 0.002), (900.0, 0.2, 0.01), (50.0, 1e9, 0.005)]
+)
 @pytest.mark.parametrize("amplitude", [0.006, 0.001])
 def test_with_rounding_alone_the_intervals_always_hold(gains, amplitude):
     """Also where a sample moves the voltage by less than a step: no statistics are in them."""
@@ -149,8 +151,7 @@ def test_the_intervals_of_least_squares_cover_as_often_as_they_say():
     """Of 200 records; three standard deviations of such a share are 0.046."""
     hits = np.zeros(3)
     for seed in range(200):
-        found = identify_pid(record(GAINS, 1000 + seed, samples=2048), derivative="error",
-                             bounds=False)
+        found = identify_pid(record(GAINS, 1000 + seed, samples=2048), derivative="error", bounds=False)
         hits += [gain in interval for gain, interval in zip(GAINS, found.least_squares)]
     assert ((hits / 200 > 0.95 - 0.046) & (hits / 200 < 0.95 + 0.046)).all(), hits / 200
 
@@ -158,8 +159,9 @@ def test_the_intervals_of_least_squares_cover_as_often_as_they_say():
 def test_the_intervals_hold_with_noise_that_is_not_rounding():
     hits = np.zeros(3)
     for seed in range(100):
-        found = identify_pid(record(GAINS, 2000 + seed, samples=1024, noise=0.05), bounds=False,
-                             derivative="error", confidence=0.9)
+        found = identify_pid(
+            record(GAINS, 2000 + seed, samples=1024, noise=0.05), bounds=False, derivative="error", confidence=0.9
+        )
         hits += [gain in interval for gain, interval in zip(GAINS, intervals(found))]
     assert ((hits > 80) & (hits < 99)).all(), hits
 
@@ -171,11 +173,12 @@ def test_a_free_denominator_is_biased_by_rounding_and_instruments_take_the_bias_
 
     logs = [record(GAINS, 3000 + seed) for seed in range(24)]
     free, instruments = (np.array([gains_of(log, method) for log in logs]) for method in METHODS)
-    known = np.array([values(identify_pid(log, form="velocity", bounds=False))[:2]
-                      for log in logs])
+    known = np.array([values(identify_pid(log, form="velocity", bounds=False))[:2] for log in logs])
     true = np.array([GAINS[0] * (1.0 + H / GAINS[1]), GAINS[1] + H])
-    off = {name: (found.mean(axis=0) / true - 1.0, found.std(axis=0) / true / 24 ** 0.5)
-           for name, found in (("free", free), ("instruments", instruments), ("known", known))}
+    off = {
+        name: (found.mean(axis=0) / true - 1.0, found.std(axis=0) / true / 24**0.5)
+        for name, found in (("free", free), ("instruments", instruments), ("known", known))
+    }
     # Kg and 1/Ti too great, by far more than chance
     assert off["free"][0][0] > 5.0 * off["free"][1][0] > 0.0
     assert off["free"][0][1] < -5.0 * off["free"][1][1]
@@ -246,8 +249,7 @@ def test_an_enclosure_has_the_corners_that_its_lines_cross_at():
         ends = corners @ along
         assert found.ends(along) == pytest.approx((ends.min(), ends.max()), abs=1e-4)
     ratio = corners[:, 1] / corners[:, 0]
-    assert found.ratio_ends([0.0, 1.0], [1.0, 0.0]) == pytest.approx((ratio.min(), ratio.max()),
-                                                                     abs=1e-4)
+    assert found.ratio_ends([0.0, 1.0], [1.0, 0.0]) == pytest.approx((ratio.min(), ratio.max()), abs=1e-4)
     values[3] += 1.0
     assert Enclosure(rows, values, 0.1).is_empty()
     assert Enclosure(rows, values, 0.1).ends([1.0, 0.0]) is None
@@ -257,10 +259,15 @@ def test_an_enclosure_has_the_corners_that_its_lines_cross_at():
 
 
 def compared(first, second, seeds, samples=4096, **options):
-    return [compare_gains(*(identify_pid(record(gains, seed + shift, samples=samples),
-                                         derivative="error", **options)
-                            for gains, shift in ((first, 0), (second, 10_000))))
-            for seed in seeds]
+    return [
+        compare_gains(
+            *(
+                identify_pid(record(gains, seed + shift, samples=samples), derivative="error", **options)
+                for gains, shift in ((first, 0), (second, 10_000))
+            )
+        )
+        for seed in seeds
+    ]
 
 
 def test_equal_gains_are_seldom_called_different_by_chance():
@@ -276,21 +283,21 @@ def test_equal_gains_are_never_called_different_by_the_bounds():
     assert all(c.one_controller_possible and not c.different for c in found)
 
 
-@pytest.mark.parametrize("other", [(138.4, 0.315, 0.032), (137.0, 0.318, 0.032),
-                                   (137.0, 0.315, 0.0323)])
+@pytest.mark.parametrize("other", [(138.4, 0.315, 0.032), (137.0, 0.318, 0.032), (137.0, 0.315, 0.0323)])
 def test_a_change_of_a_hundredth_in_one_gain_is_found(other):
     by_chance = compared(GAINS, other, range(600, 630), bounds=False)
     assert all(c.one_controller_possible is None for c in by_chance)
     assert sum(c.different for c in by_chance) >= 27
-    assert all(c.different and c.one_controller_possible is False
-               for c in compared(GAINS, other, range(700, 703)))
+    assert all(c.different and c.one_controller_possible is False for c in compared(GAINS, other, range(700, 703)))
 
 
 def test_estimates_that_cannot_be_compared_are_refused():
     a = identify_pid(record(GAINS, 1), bounds=False)
-    for other in (identify_pid(record(GAINS, 1), form="velocity", bounds=False),
-                  identify_pid(record(GAINS, 1, on_measurement=True), bounds=False),
-                  replace(a, period=2.0 * H)):
+    for other in (
+        identify_pid(record(GAINS, 1), form="velocity", bounds=False),
+        identify_pid(record(GAINS, 1, on_measurement=True), bounds=False),
+        replace(a, period=2.0 * H),
+    ):
         with pytest.raises(ParameterError, match="one period, one form and one kind"):
             compare_gains(a, other)
     with pytest.raises(ParameterError, match="level 1.5"):
@@ -301,8 +308,7 @@ def test_estimates_that_cannot_be_compared_are_refused():
 
 
 def still(setpoint=0.0, voltage=0.0, samples=500):
-    return ControllerLog(H, np.full(samples, setpoint), np.zeros(samples),
-                         np.zeros(samples) + voltage, "still")
+    return ControllerLog(H, np.full(samples, setpoint), np.zeros(samples), np.zeros(samples) + voltage, "still")
 
 
 def test_records_without_excitation_give_an_error_and_no_number():
@@ -344,11 +350,16 @@ def test_voltages_of_something_else_are_refused():
         identify_pid(replace(log, voltage=np.where(log.error > 0.0, 40.0, -40.0)), limit=40.0)
 
 
-@pytest.mark.parametrize("options, says", [
-    ({"form": "parallel"}, "form 'parallel'; expected positional or velocity"),
-    ({"derivative": "none"}, "derivative 'none'"), ({"confidence": 1.0}, "confidence 1.0"),
-    ({"forgetting": 0.0}, "forgetting factor"), ({"limit": 0.0}, "limit 0.0 V"),
-])
+@pytest.mark.parametrize(
+    "options, says",
+    [
+        ({"form": "parallel"}, "form 'parallel'; expected positional or velocity"),
+        ({"derivative": "none"}, "derivative 'none'"),
+        ({"confidence": 1.0}, "confidence 1.0"),
+        ({"forgetting": 0.0}, "forgetting factor"),
+        ({"limit": 0.0}, "limit 0.0 V"),
+    ],
+)
 def test_options_outside_their_range_are_refused(options, says):
     with pytest.raises(ParameterError, match=says):
         identify_pid(record(GAINS, 1, samples=300), **options)
@@ -365,9 +376,11 @@ def test_transfer_function_options_outside_their_range_are_refused():
 
 
 def test_logs_that_are_not_columns_of_one_length_are_refused():
-    for columns, says in (((np.zeros(20), np.zeros(20), np.zeros(19)), "shapes"),
-                          ((np.zeros(5),) * 3, "5 samples"),
-                          ((np.full(20, np.nan), np.zeros(20), np.zeros(20)), "not finite")):
+    for columns, says in (
+        ((np.zeros(20), np.zeros(20), np.zeros(19)), "shapes"),
+        ((np.zeros(5),) * 3, "5 samples"),
+        ((np.full(20, np.nan), np.zeros(20), np.zeros(20)), "not finite"),
+    ):
         with pytest.raises(RecordingError, match=says):
             ControllerLog(H, *columns)
     with pytest.raises(RecordingError, match="period 0"):

@@ -8,9 +8,19 @@ from itertools import product
 
 import numpy as np
 import pytest
-from arm_reference import (START, VISCOUS, bits, driving_torque, energy, mass_matrix,
-                           open_circuit, plant_of, reduced_accelerations, right_hand_side,
-                           smooth_voltages)
+from arm_reference import (
+    START,
+    VISCOUS,
+    bits,
+    driving_torque,
+    energy,
+    mass_matrix,
+    open_circuit,
+    plant_of,
+    reduced_accelerations,
+    right_hand_side,
+    smooth_voltages,
+)
 from scipy.integrate import solve_ivp
 
 from puma_sim_core.backend import BACKEND
@@ -20,8 +30,7 @@ from puma_sim_core.third_order import acceleration_from_current, jerk
 
 VOLTAGE = (20.0, -15.0, 10.0)
 #: q(0.5 s) from START with VOLTAGE held, by form of equation 5.2
-ENDS = {"physical": (0.68745378, -0.6102092, 1.07667885),
-        "printed": (0.30113443, 0.48721605, 0.90871915)}
+ENDS = {"physical": (0.68745378, -0.6102092, 1.07667885), "printed": (0.30113443, 0.48721605, 0.90871915)}
 
 
 def random_state(seed):
@@ -46,9 +55,14 @@ def test_third_order_form_integrated_by_dop853_agrees(form):
     H = plant.viscous_friction
     q, qd, current = START
     qdd = acceleration_from_current(q, qd, current, plant.arm, H, form)
-    run = solve_ivp(lambda t, y: np.concatenate([y[3:], jerk(y[:3], y[3:6], y[6:], VOLTAGE,
-                                                             plant.arm, H, form)]),
-                    (0.0, 0.5), [*q, *qd, *qdd], method="DOP853", rtol=1e-10, atol=1e-12)
+    run = solve_ivp(
+        lambda t, y: np.concatenate([y[3:], jerk(y[:3], y[3:6], y[6:], VOLTAGE, plant.arm, H, form)]),
+        (0.0, 0.5),
+        [*q, *qd, *qdd],
+        method="DOP853",
+        rtol=1e-10,
+        atol=1e-12,
+    )
     simulator = Simulator(plant, max_step=2e-4)
     simulator.reset(*START)
     recording = simulator.run([0.0, 0.5], [VOLTAGE, VOLTAGE], acceleration=True)
@@ -68,10 +82,10 @@ def test_agrees_with_dop853_on_the_matrix_equations(name, form):
     simulator.reset(y[:3], y[3:6], y[6:])
     recording = simulator.run(time, volts)
     for row in range(4):
-        y = solve_ivp(right_hand_side(plant, volts[row]), (0.0, 0.1), y, method="DOP853",
-                      rtol=1e-10, atol=1e-12).y[:, -1]
-        ours = np.concatenate([recording.position[row + 1], recording.velocity[row + 1],
-                               recording.current[row + 1]])
+        y = solve_ivp(right_hand_side(plant, volts[row]), (0.0, 0.1), y, method="DOP853", rtol=1e-10, atol=1e-12).y[
+            :, -1
+        ]
+        ours = np.concatenate([recording.position[row + 1], recording.velocity[row + 1], recording.current[row + 1]])
         np.testing.assert_allclose(ours, y, rtol=0, atol=3e-8)
 
 
@@ -103,8 +117,7 @@ def test_energy_is_kept_with_open_circuit_motors(name):
     recording = simulator.run(time, np.zeros((len(time), 3)))
     assert not recording.current.any()
     total = [energy(plant, q, qd) for q, qd in zip(recording.position, recording.velocity)]
-    kinetic = [0.5 * qd @ mass_matrix(plant, q) @ qd
-               for q, qd in zip(recording.position, recording.velocity)]
+    kinetic = [0.5 * qd @ mass_matrix(plant, q) @ qd for q, qd in zip(recording.position, recording.velocity)]
     assert np.ptp(kinetic) > 20.0
     assert np.ptp(total) < 1e-6 * np.ptp(kinetic)
 
@@ -131,8 +144,7 @@ def constrained(kinds, plant):
     simulator = Simulator(plant, constraints=[Constraint(kind, VALUES[kind]) for kind in kinds])
     q, qd, current = random_state(3)
     qd = [{"hold": 0.0, "velocity": VALUES["velocity"]}.get(kind, w) for kind, w in zip(kinds, qd)]
-    given = [{"free": None, "acceleration": VALUES["acceleration"]}.get(kind, 0.0)
-             for kind in kinds]
+    given = [{"free": None, "acceleration": VALUES["acceleration"]}.get(kind, 0.0) for kind in kinds]
     simulator.reset(q, qd, current)
     return simulator, (q, np.array(qd), current), given
 
@@ -148,12 +160,16 @@ def test_rows_of_constrained_joints_are_removed(kinds):
     time = np.arange(0.0, 0.1001, 0.02)
     volts = np.tile(VOLTAGE, (len(time), 1))
     run = simulator.run(time, volts, acceleration=True)
-    expected = reduced_accelerations(mass_matrix(plant, q), driving_torque(plant, q, qd, current),
-                                     given)
+    expected = reduced_accelerations(mass_matrix(plant, q), driving_torque(plant, q, qd, current), given)
     np.testing.assert_allclose(run.acceleration[0], expected, rtol=1e-11, atol=1e-11)
-    reference = solve_ivp(right_hand_side(plant, VOLTAGE, given), (0.0, time[-1]),
-                          np.concatenate([q, qd, current]), method="DOP853", rtol=1e-9,
-                          atol=1e-11).y[:, -1]
+    reference = solve_ivp(
+        right_hand_side(plant, VOLTAGE, given),
+        (0.0, time[-1]),
+        np.concatenate([q, qd, current]),
+        method="DOP853",
+        rtol=1e-9,
+        atol=1e-11,
+    ).y[:, -1]
     np.testing.assert_allclose(simulator.state, reference, rtol=0, atol=1e-6)
     for j, kind in enumerate(kinds):
         if kind == "hold":
@@ -161,13 +177,11 @@ def test_rows_of_constrained_joints_are_removed(kinds):
             assert not run.velocity[:, j].any()
         elif kind == "velocity":
             assert set(bits(run.velocity[:, j])) == set(bits(VALUES[kind]))
-            np.testing.assert_allclose(run.position[:, j], q[j] + VALUES[kind] * time, rtol=0,
-                                       atol=1e-13)
+            np.testing.assert_allclose(run.position[:, j], q[j] + VALUES[kind] * time, rtol=0, atol=1e-13)
         elif kind == "acceleration":
             a = VALUES[kind]
             np.testing.assert_allclose(run.velocity[:, j], qd[j] + a * time, rtol=0, atol=1e-13)
-            np.testing.assert_allclose(run.position[:, j], q[j] + qd[j] * time + a / 2 * time**2,
-                                       rtol=0, atol=1e-13)
+            np.testing.assert_allclose(run.position[:, j], q[j] + qd[j] * time + a / 2 * time**2, rtol=0, atol=1e-13)
 
 
 def test_a_held_joint_keeps_its_position_bit_for_bit():
@@ -191,8 +205,7 @@ def test_moving_constrained_joints_act_on_the_free_one():
     for kind in ("hold", "velocity", "acceleration"):
         simulator, (q, qd, current), given = constrained(("free", kind, kind), plant)
         simulator.reset((0.0, -1.0, 0.5), [0.0 if kind == "hold" else 0.7] * 3)
-        accelerations[kind] = simulator.run([0.0, 1e-3], np.zeros((2, 3)),
-                                            acceleration=True).acceleration[0, 0]
+        accelerations[kind] = simulator.run([0.0, 1e-3], np.zeros((2, 3)), acceleration=True).acceleration[0, 0]
     assert accelerations["hold"] == 0.0
     assert abs(accelerations["velocity"]) > 0.1
     assert abs(accelerations["acceleration"] - accelerations["velocity"]) > 0.1
@@ -217,8 +230,7 @@ def test_locked_joints_give_the_inertia_that_overwriting_does_not(joint):
             currents = [0.0] * 3
             currents[joint - 1] = current
             simulator.reset(UPRIGHT, current=currents)
-            found.append(simulator.run([0.0, 1e-3], np.zeros((2, 3)),
-                                       acceleration=True).acceleration[0, joint - 1])
+            found.append(simulator.run([0.0, 1e-3], np.zeros((2, 3)), acceleration=True).acceleration[0, joint - 1])
         return plant.torque_per_ampere[joint - 1] / (found[1] - found[0])
 
     locked, free = apparent_inertia(Constraint("hold")), apparent_inertia(Constraint())

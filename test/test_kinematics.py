@@ -11,10 +11,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from puma_sim_core.kinematics import (Q, base_delta, delta_operator, dh_table, dh_transform,
-                                      elbow_position, first_derivatives, forward_kinematics,
-                                      link_transforms, second_derivatives, tool_position,
-                                      wrist_position)
+from puma_sim_core.kinematics import (
+    Q,
+    base_delta,
+    delta_operator,
+    dh_table,
+    dh_transform,
+    elbow_position,
+    first_derivatives,
+    forward_kinematics,
+    link_transforms,
+    second_derivatives,
+    tool_position,
+    wrist_position,
+)
 from puma_sim_core.parameters import load_parameters
 
 ARM = load_parameters("bejczy")
@@ -46,8 +56,7 @@ def test_each_transform_is_the_four_moves_of_denavit_and_hartenberg(q):
     product = np.eye(4)
     transforms = link_transforms(q, ARM)
     for angle, (a, alpha, d), transform in zip(q, dh_table(ARM), transforms[1:]):
-        product = (product @ rotation("z", angle) @ translation(0, 0, d) @ translation(a, 0, 0)
-                   @ rotation("x", alpha))
+        product = product @ rotation("z", angle) @ translation(0, 0, d) @ translation(a, 0, 0) @ rotation("x", alpha)
         np.testing.assert_allclose(transform, product, rtol=0, atol=1e-14)
     assert np.array_equal(transforms[0], np.eye(4))
     assert np.array_equal(forward_kinematics(q, ARM), transforms[-1])
@@ -62,7 +71,8 @@ def test_transforms_are_those_of_section_2_3_corrected():
         [[c[2], 0, s[2], A3 * c[2]], [s[2], 0, -c[2], A3 * s[2]], [0, 1, 0, D3]],
         [[c[3], 0, -s[3], 0], [s[3], 0, c[3], 0], [0, -1, 0, D4]],
         [[c[4], 0, s[4], 0], [s[4], 0, -c[4], 0], [0, 1, 0, 0]],
-        [[c[5], -s[5], 0, 0], [s[5], c[5], 0, 0], [0, 0, 1, 0]]]
+        [[c[5], -s[5], 0, 0], [s[5], c[5], 0, 0], [0, 0, 1, 0]],
+    ]
     for angle, row, rows in zip(q, dh_table(ARM), expected):
         np.testing.assert_allclose(dh_transform(angle, *row)[:3], rows, rtol=0, atol=1e-16)
 
@@ -81,20 +91,22 @@ def test_transforms_are_rigid_motions(q):
 @given(q=six_angles)
 def test_elbow_and_forearm_follow_the_conventions(q):
     c1, s1, c2, s2 = math.cos(q[0]), math.sin(q[0]), math.cos(q[1]), math.sin(q[1])
-    np.testing.assert_allclose(elbow_position(q, ARM), [A2 * c1 * c2, A2 * s1 * c2, -A2 * s2],
-                               atol=1e-15)
+    np.testing.assert_allclose(elbow_position(q, ARM), [A2 * c1 * c2, A2 * s1 * c2, -A2 * s2], atol=1e-15)
     s23, c23 = math.sin(q[1] + q[2]), math.cos(q[1] + q[2])
-    np.testing.assert_allclose(link_transforms(q[:3], ARM)[3][:3, 2], [c1 * s23, s1 * s23, c23],
-                               atol=1e-15)
+    np.testing.assert_allclose(link_transforms(q[:3], ARM)[3][:3, 2], [c1 * s23, s1 * s23, c23], atol=1e-15)
 
 
-@pytest.mark.parametrize("pose, wrist", [
-    ((0, 0, 0), (A2 + A3, D3, D4)),
-    ((0, 0, 90), (A2 + D4, D3, -A3)),
-    ((0, -90, 90), (A3, D3, A2 + D4)),
-    ((90, 0, 0), (-D3, A2 + A3, D4)),
-    ((0, 90, -90), (A3, D3, D4 - A2))],
-    ids=["L", "stretched", "upright", "L turned", "down and folded back up"])
+@pytest.mark.parametrize(
+    "pose, wrist",
+    [
+        ((0, 0, 0), (A2 + A3, D3, D4)),
+        ((0, 0, 90), (A2 + D4, D3, -A3)),
+        ((0, -90, 90), (A3, D3, A2 + D4)),
+        ((90, 0, 0), (-D3, A2 + A3, D4)),
+        ((0, 90, -90), (A3, D3, D4 - A2)),
+    ],
+    ids=["L", "stretched", "upright", "L turned", "down and folded back up"],
+)
 def test_wrist_in_known_poses(pose, wrist):
     # upper arm along x0 and forearm up at zero; positive q2 and q3 turn the arm down
     np.testing.assert_allclose(wrist_position(np.radians(pose), ARM), wrist, atol=1e-15)
@@ -103,8 +115,7 @@ def test_wrist_in_known_poses(pose, wrist):
 @many
 @given(q=six_angles)
 def test_wrist_joints_turn_about_the_wrist(q):
-    np.testing.assert_allclose(forward_kinematics(q, ARM)[:3, 3], wrist_position(q, ARM),
-                               atol=1e-15)
+    np.testing.assert_allclose(forward_kinematics(q, ARM)[:3, 3], wrist_position(q, ARM), atol=1e-15)
     np.testing.assert_allclose(tool_position(q, ARM), wrist_position(q, ARM), atol=1e-15)
     tool = np.array([0.01, -0.02, 0.1])
     reach = np.linalg.norm(tool_position(q, ARM, tool) - wrist_position(q, ARM))
@@ -142,7 +153,7 @@ def test_inner_frames_do_not_move_with_outer_joints():
     q = np.linspace(-1, 1, 6)
     first = first_derivatives(q, ARM)
     for p in range(6):
-        assert not first[p, p + 1:].any() and first[p, p].any()
+        assert not first[p, p + 1 :].any() and first[p, p].any()
 
 
 @many
@@ -179,8 +190,7 @@ def test_any_table_of_links_is_taken():
     table = [(0.5, 0.0, 0.0), (0.3, 0.0, 0.0)]
     q = np.array([0.4, -0.9])
     end = forward_kinematics(q, table)[:3, 3]
-    expected = [0.5 * math.cos(0.4) + 0.3 * math.cos(-0.5),
-                0.5 * math.sin(0.4) + 0.3 * math.sin(-0.5), 0]
+    expected = [0.5 * math.cos(0.4) + 0.3 * math.cos(-0.5), 0.5 * math.sin(0.4) + 0.3 * math.sin(-0.5), 0]
     np.testing.assert_allclose(end, expected, atol=1e-16)
 
 

@@ -41,7 +41,8 @@ def pendulum(drive, *effects):
             "amplifier": "current",
             "gain": {"value": KT / R, "unit": "N.m/V", "known": True},
             "motor_inertia": mapping["drive"]["motor_inertia"],
-            "viscous_friction": mapping["drive"]["viscous_friction"]}
+            "viscous_friction": mapping["drive"]["viscous_friction"],
+        }
     body = OneJoint.from_mapping({k: v for k, v in mapping.items() if k != "format"})
     return OneJointPlant.of(body, map(parse_effect, effects), DRIVES[drive])
 
@@ -97,17 +98,16 @@ class Oracle:
             if self.direction != 0.0 and self.w == 0.0:
                 # away from rest before a return to it is looked for
                 step = min(1e-6, duration - t)
-                run = solve_ivp(self.slope, (0.0, step), (self.q, 0.0, self.i), rtol=1e-10,
-                                atol=1e-13)
+                run = solve_ivp(self.slope, (0.0, step), (self.q, 0.0, self.i), rtol=1e-10, atol=1e-13)
                 self.q, self.w, self.i = run.y[:, -1]
                 t += step
                 continue
 
             def stop(_, y):
                 return event(_, y)
+
             stop.terminal = True
-            run = solve_ivp(self.slope, (t, duration), (self.q, self.w, self.i), rtol=1e-10,
-                            atol=1e-13, events=stop)
+            run = solve_ivp(self.slope, (t, duration), (self.q, self.w, self.i), rtol=1e-10, atol=1e-13, events=stop)
             self.q, self.w, self.i = run.y[:, -1]
             t = run.t[-1]
             if run.status == 1:
@@ -118,8 +118,7 @@ class Oracle:
                     self.starts += 1
                     self.direction = np.sign(self.motor(0.0, self.i) - WEIGHT * np.sin(self.q))
                     step = min(1e-6, duration - t)
-                    run = solve_ivp(self.slope, (0.0, step), (self.q, 0.0, self.i), rtol=1e-10,
-                                    atol=1e-13)
+                    run = solve_ivp(self.slope, (0.0, step), (self.q, 0.0, self.i), rtol=1e-10, atol=1e-13)
                     self.q, self.w, self.i = run.y[:, -1]
                     self.w = self.w if self.w * self.direction > 0.0 else 1e-15 * self.direction
                     t += step
@@ -130,8 +129,9 @@ class Oracle:
 @pytest.mark.parametrize("a", [1.0, 0.4])
 def test_a_pendulum_sticks_and_slides_as_its_equation(drive, a):
     coulomb, mu = 0.03, 0.2
-    plant = pendulum(drive, f"coulomb_friction:joint=1,torque={coulomb}",
-                     f"{NAME}:joint=1,coefficient={mu},transmitted={a}")
+    plant = pendulum(
+        drive, f"coulomb_friction:joint=1,torque={coulomb}", f"{NAME}:joint=1,coefficient={mu},transmitted={a}"
+    )
     time = np.arange(0.0, 3.0, 0.02)
     volts = 3.2 * np.sin(3.0 * time) * np.sin(0.8 * time + 0.4) + 1.2 * np.sin(11.0 * time)
     on = (time < 2.2) | (time > 2.5)
@@ -145,11 +145,9 @@ def test_a_pendulum_sticks_and_slides_as_its_equation(drive, a):
     assert oracle.stops >= 4 and oracle.starts >= 4
     assert_allclose(run.position[:, 0], expected, atol=2e-5)
     # the law is what made the motion: by the weight alone it is another one
-    other = Simulator(pendulum(drive, f"coulomb_friction:joint=1,torque={coulomb}",
-                               f"{NAME}:joint=1,coefficient={mu}"))
+    other = Simulator(pendulum(drive, f"coulomb_friction:joint=1,torque={coulomb}", f"{NAME}:joint=1,coefficient={mu}"))
     other.reset([0.3])
-    assert np.abs(other.run(time, volts[:, None], enable=on.astype(float)).position
-                  - run.position).max() > 0.02
+    assert np.abs(other.run(time, volts[:, None], enable=on.astype(float)).position - run.position).max() > 0.02
 
 
 @pytest.mark.parametrize("drive", DRIVES)
@@ -157,8 +155,12 @@ def test_at_rest_it_holds_up_to_the_level_of_the_present_torque(drive):
     mu, a, q = 0.2, 1.0, 0.7
     gravity = WEIGHT * np.sin(q)
     # T - G = mu T going up, G - T = mu T going down
-    for share, moves in ((0.998 / (1.0 - mu), 0), (1.002 / (1.0 - mu), 1),
-                         (1.002 / (1.0 + mu), 0), (0.998 / (1.0 + mu), -1)):
+    for share, moves in (
+        (0.998 / (1.0 - mu), 0),
+        (1.002 / (1.0 - mu), 1),
+        (1.002 / (1.0 + mu), 0),
+        (0.998 / (1.0 + mu), -1),
+    ):
         plant = pendulum(drive, f"{NAME}:joint=1,coefficient={mu},transmitted={a}")
         simulator = Simulator(plant)
         volts = share * gravity / KT * R
@@ -176,8 +178,10 @@ def test_at_rest_it_holds_up_to_the_level_of_the_present_torque(drive):
 @pytest.mark.parametrize("soft", [False, True])
 def test_a_bristle_yields_at_the_level_of_its_load(joint, soft):
     # led slowly, its bristle is bent as far as mu |T| bends it
-    effects = [f"presliding_friction:joint={joint + 1},stiffness=2e4",
-               f"{NAME}:joint={joint + 1},coefficient=0.2,transmitted=1"]
+    effects = [
+        f"presliding_friction:joint={joint + 1},stiffness=2e4",
+        f"{NAME}:joint={joint + 1},coefficient=0.2,transmitted=1",
+    ]
     if soft:
         effects.append(f"joint_elasticity:joint={joint + 1},stiffness=2e4,damping=100")
     plant = plant_of(*effects)
@@ -194,9 +198,13 @@ def test_a_bristle_yields_at_the_level_of_its_load(joint, soft):
     assert simulator.bristles[joint] * 2e4 == pytest.approx(0.2 * torque, rel=1e-3)
 
 
-@pytest.mark.parametrize("effects, tolerance", [
-    (["joint_elasticity:joint={},stiffness=5e5,damping=1000"], 3e-4),
-    (["presliding_friction:joint={},stiffness=1e6"], 3e-4)])
+@pytest.mark.parametrize(
+    "effects, tolerance",
+    [
+        (["joint_elasticity:joint={},stiffness=5e5,damping=1000"], 3e-4),
+        (["presliding_friction:joint={},stiffness=1e6"], 3e-4),
+    ],
+)
 def test_a_stiff_drive_moves_as_a_rigid_one(effects, tolerance):
     time = np.arange(0.0, 0.8, 0.02)
     volts = np.column_stack([9 * np.sin(6 * time), 12 * np.cos(5 * time), 6 * np.sin(7 * time)])
@@ -255,8 +263,7 @@ print(now == found())
 
 def test_without_a_share_of_the_motor_it_is_friction_by_weight_to_the_bit():
     env = {**os.environ, "PUMA_SIM_BACKEND": "python"}
-    done = subprocess.run([sys.executable, "-c", PROGRAM], env=env, capture_output=True, text=True,
-                          timeout=300)
+    done = subprocess.run([sys.executable, "-c", PROGRAM], env=env, capture_output=True, text=True, timeout=300)
     assert done.stdout.strip() == "True", done.stderr[-2000:]
 
 
@@ -286,8 +293,9 @@ def test_column_is_the_torque_that_the_gear_takes(joint):
     sliding = np.abs(signals.velocity[:, joint]) > 0.01
     columns = {a: c.columns[0][joint][sliding] for a, c in found.items()}
     fits = {a: float(x @ taken[sliding] / (x @ x)) for a, x in columns.items()}
-    left = {a: np.linalg.norm(taken[sliding] - fits[a] * x) / np.linalg.norm(taken[sliding])
-            for a, x in columns.items()}
+    left = {
+        a: np.linalg.norm(taken[sliding] - fits[a] * x) / np.linalg.norm(taken[sliding]) for a, x in columns.items()
+    }
     assert fits[1.0] == pytest.approx(mu, rel=0.01) and left[1.0] < 0.02
     assert left.get(0.0, 1.0) > 5.0 * left[1.0]
     assert found[1.0].values([mu]) == {"coefficient": mu, "transmitted": 1.0}
@@ -296,8 +304,7 @@ def test_column_is_the_torque_that_the_gear_takes(joint):
 
 def test_known_friction_by_torque_accounts_for_its_voltage():
     for drive in ("voltage", "current"):
-        plant = pendulum(drive, f"{NAME}:joint=1,coefficient=0.2,transmitted=1",
-                         "coulomb_friction:joint=1,torque=0.02")
+        plant = pendulum(drive, f"{NAME}:joint=1,coefficient=0.2,transmitted=1", "coulomb_friction:joint=1,torque=0.02")
         bare = load_mechanism("pendulum")
         mechanism = type(bare).of(plant.body, plant.effects)
         time = np.arange(0.0, 1.0, 2e-4)
@@ -317,6 +324,7 @@ def test_known_friction_by_torque_accounts_for_its_voltage():
 
 def pendulum_signals(mechanism, run, voltage):
     from mechanism_support import signals_of as of_mechanism
+
     return of_mechanism(mechanism, run, voltage)
 
 
@@ -326,20 +334,20 @@ def test_the_explainer_names_the_load_that_made_the_log():
     from puma_sim_core.loop.problem import Problem
     from puma_sim_core.loop.sampling import sample
     from puma_sim_core.loop.search import Search
+
     mechanism = load_mechanism("pendulum")
     time = np.arange(0.0, 8.0, 5e-3)
     rng = np.random.default_rng(5)
     volts = (2.6 * np.sin(4.0 * time) + 1.6 * np.sin(13.0 * time + 1.0))[:, None]
     for a in (0.0, 1.0):
-        simulator = Simulator(mechanism.plant(None, [parse_effect(
-            f"{NAME}:joint=1,coefficient=0.15,transmitted={a}")]))
+        simulator = Simulator(mechanism.plant(None, [parse_effect(f"{NAME}:joint=1,coefficient=0.15,transmitted={a}")]))
         simulator.reset([0.1])
         run = simulator.run(time, volts)
         log = Log("made", time, volts, run.position + 3e-4 * rng.standard_normal(volts.shape))
         library = {NAME: KINDS[NAME]}
         search = Search(Problem(sample([log]), mechanism), library)
         fit = search.retune(mechanism.start)
-        scored, = search.ranked(fit, search.bank(fit.theta))
+        (scored,) = search.ranked(fit, search.bank(fit.theta))
         assert scored.values["transmitted"] == a
         assert scored.values["coefficient"] == pytest.approx(0.15, rel=0.25)
         assert scored.gain > 50.0

@@ -7,17 +7,18 @@ The answers are read by the assertions alone, after the record was explained.
 
 from __future__ import annotations
 
-from functools import lru_cache
 import json
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 pytest.importorskip("scipy")
 
+from score import scoring
+
 from puma_sim_core.loop import explain
 from puma_sim_core.loop.report_json import report_mapping, report_text
-from score import scoring
 
 RECORDS = Path(__file__).parent / "blind" / "records"
 #: open loop, and under feedback
@@ -33,7 +34,7 @@ def path_of(name: str) -> str:
     return str(RECORDS / f"{name}.csv")
 
 
-@lru_cache(maxsize=None)
+@cache
 def explanation(name: str):
     return explain(path_of(name))
 
@@ -49,8 +50,7 @@ def answer(name: str) -> dict:
 
 def assert_held_out_falls(report: dict) -> None:
     """By what is named, and far below that of the nominal model."""
-    error = {stage: scoring.held_out(report, stage) for stage in ("nominal", "retuned",
-                                                                  "augmented")}
+    error = {stage: scoring.held_out(report, stage) for stage in ("nominal", "retuned", "augmented")}
     assert error["augmented"] < 0.7 * error["retuned"] and error["augmented"] < error["nominal"]
 
 
@@ -98,8 +98,7 @@ def test_faulty_data_get_no_name_but_channel_and_row(name):
 def test_most_intervals_hold_the_truth():
     held = {}
     for name in (*SINGLE, PAIR):
-        held |= {(name, key): inside
-                 for key, inside in scoring.coverage(explained(name), answer(name))}
+        held |= {(name, key): inside for key, inside in scoring.coverage(explained(name), answer(name))}
     assert len(held) >= 5
     assert sum(held.values()) >= 0.7 * len(held), held
 

@@ -38,8 +38,9 @@ class Chooser:
 
     def without(self, selected, key):
         keys = tuple(k for k in selected.keys if k != key)
-        return Selected(selected.retuned, fitted(*keys), keys, selected.stages, None,
-                        retracted=(*selected.retracted, key))
+        return Selected(
+            selected.retuned, fitted(*keys), keys, selected.stages, None, retracted=(*selected.retracted, key)
+        )
 
 
 def confirmed(errors, first, second):
@@ -73,15 +74,21 @@ def test_without_a_lower_error_there_is_no_name():
     assert confirmed(errors(1.0, 1.0, 1.1, 1.2), trial(A, 90.0), trial(B, 30.0)) == ((), (B, A))
 
 
-@pytest.mark.parametrize("curve, names, price, remains, wanted", [
-    # what is left has a shape: names are inexact, and give way to what is clearly better
-    (8900.0, 10000.0, 30.0, True, True), (9300.0, 10000.0, 30.0, True, False),
-    # nothing seems to be left, but a curve leaves less than these names of a joint's noise
-    (9800.0, 10000.0, 30.0, False, True), (9900.0, 10000.0, 30.0, False, False),
-    # less by no more than its heights make of chance
-    (9800.0, 10000.0, 90.0, False, False), (980.0, 1000.0, 5.0, False, False)])
-def test_a_free_curve_that_leaves_clearly_less_lets_no_name_stand(curve, names, price, remains,
-                                                                   wanted):
+@pytest.mark.parametrize(
+    "curve, names, price, remains, wanted",
+    [
+        # what is left has a shape: names are inexact, and give way to what is clearly better
+        (8900.0, 10000.0, 30.0, True, True),
+        (9300.0, 10000.0, 30.0, True, False),
+        # nothing seems to be left, but a curve leaves less than these names of a joint's noise
+        (9800.0, 10000.0, 30.0, False, True),
+        (9900.0, 10000.0, 30.0, False, False),
+        # less by no more than its heights make of chance
+        (9800.0, 10000.0, 90.0, False, False),
+        (980.0, 1000.0, 5.0, False, False),
+    ],
+)
+def test_a_free_curve_that_leaves_clearly_less_lets_no_name_stand(curve, names, price, remains, wanted):
     assert no_name_stands(curve, names, price, remains) is wanted
 
 
@@ -94,23 +101,25 @@ def test_a_limit_that_was_met_once_goes_before_a_blow(limit, wanted):
     assert found.key == (wanted, 2)
 
 
-@pytest.mark.parametrize("name, simpler, price, gain, wanted", [
-    # a further coefficient is paid for in the gain: no more is asked for it
-    ("stribeck_friction", "coulomb_friction", 12.0, 100.5, "stribeck_friction"),
-    ("stribeck_friction", "coulomb_friction", 12.0, 99.5, "coulomb_friction"),
-    # kinds that cost as much as one that they contain must be better all the same
-    ("soft_stop", "joint_spring", 6.0, 101.0, "joint_spring"),
-    ("soft_stop", "joint_spring", 6.0, 102.0, "soft_stop")])
-def test_of_kinds_that_contain_each_other_the_simpler_goes_first(name, simpler, price, gain,
-                                                                 wanted):
+@pytest.mark.parametrize(
+    "name, simpler, price, gain, wanted",
+    [
+        # a further coefficient is paid for in the gain: no more is asked for it
+        ("stribeck_friction", "coulomb_friction", 12.0, 100.5, "stribeck_friction"),
+        ("stribeck_friction", "coulomb_friction", 12.0, 99.5, "coulomb_friction"),
+        # kinds that cost as much as one that they contain must be better all the same
+        ("soft_stop", "joint_spring", 6.0, 101.0, "joint_spring"),
+        ("soft_stop", "joint_spring", 6.0, 102.0, "soft_stop"),
+    ],
+)
+def test_of_kinds_that_contain_each_other_the_simpler_goes_first(name, simpler, price, gain, wanted):
     richer, plain = trial((name, 2), gain, price), trial((simpler, 2), 100.0, 6.0)
     best = max(richer, plain, key=lambda t: t.gain)
     found = Selection._parsimonious(SimpleNamespace(library=KINDS), best, [richer, plain])
     assert found.name == wanted
 
 
-@pytest.mark.parametrize("stiffness, wanted", [(2e4, "presliding_friction"),
-                                               (1e6, "coulomb_friction")])
+@pytest.mark.parametrize("stiffness, wanted", [(2e4, "presliding_friction"), (1e6, "coulomb_friction")])
 def test_a_bristle_as_stiff_as_it_may_be_is_none(stiffness, wanted):
     bristle = parse_effect(f"presliding_friction:joint=2,torque=8,stiffness={stiffness}")
     stiff = replace(trial(("presliding_friction", 2), 120.0, 8.0), fitted=fitted(bristle))
@@ -121,23 +130,33 @@ def test_a_bristle_as_stiff_as_it_may_be_is_none(stiffness, wanted):
 
 def test_rivals_are_the_best_and_those_that_contain_what_was_chosen():
     chosen = trial(("coulomb_friction", 2), 100.0)
-    others = [(("voltage_dead_band", 2), 95.0), (("stribeck_friction", 2), 90.0),
-              (("load_dependent_friction", 2), 85.0), (("joint_spring", 2), 80.0),
-              (("position_dependent_friction", 2), 70.0), (("presliding_friction", 1), 65.0),
-              (("asymmetric_coulomb_friction", 2), 40.0)]
+    others = [
+        (("voltage_dead_band", 2), 95.0),
+        (("stribeck_friction", 2), 90.0),
+        (("load_dependent_friction", 2), 85.0),
+        (("joint_spring", 2), 80.0),
+        (("position_dependent_friction", 2), 70.0),
+        (("presliding_friction", 1), 65.0),
+        (("asymmetric_coulomb_friction", 2), 40.0),
+    ]
     trials = [chosen, *(replace(trial(*each), fitted=fitted()) for each in others)]
     stage = Stage(trials, 15.0, None, [], None, chosen)
     found = Tidying._rivals(SimpleNamespace(library=KINDS), [stage], chosen.key, (chosen.key,))
-    assert [t.name for t in found] == ["voltage_dead_band", "stribeck_friction",
-                                       "load_dependent_friction", "position_dependent_friction"]
+    assert [t.name for t in found] == [
+        "voltage_dead_band",
+        "stribeck_friction",
+        "load_dependent_friction",
+        "position_dependent_friction",
+    ]
 
 
 def test_an_effect_that_took_the_place_of_another_has_a_gain_of_its_own():
     first, second = (Stage([t], 8.0, None, [], None, t) for t in (trial(A, 90.0), trial(B, 30.0)))
     rival = trial(("stribeck_friction", 1), 85.0)
     first.trials.append(rival)
-    selected = Selected(fitted(), fitted(B, rival.key), (B, rival.key), [first, second], None,
-                        swapped={rival.key: (first, 120.0)})
+    selected = Selected(
+        fitted(), fitted(B, rival.key), (B, rival.key), [first, second], None, swapped={rival.key: (first, 120.0)}
+    )
     assert [selected.gain_of(key) for key in selected.keys] == [30.0, 120.0]
     # what it was tied with and what was ruled out for it are those of the stage where it was tried
     assert selected.tried(rival.key) == (first, replace(rival, gain=120.0))
@@ -153,10 +172,16 @@ def test_a_wave_is_no_longer_than_its_joint_can_go_twice(period, refused):
     assert bool(found) is refused and (found is None or "period 13.5" in found)
 
 
-@pytest.mark.parametrize("before, after, wanted", [
-    ([0.9, 1.0, 1.0], [1.0, 1.0, 1.0], True), ([1.0, 1.0, 1.0], [1.0, 1.0, 1.0], False),
-    # a joint far noisier than the others counts as one of three
-    ([1.05, 1.05, 95.0], [1.0, 1.0, 100.0], False), ([0.0, 0.0], [0.0, 0.0], False)])
+@pytest.mark.parametrize(
+    "before, after, wanted",
+    [
+        ([0.9, 1.0, 1.0], [1.0, 1.0, 1.0], True),
+        ([1.0, 1.0, 1.0], [1.0, 1.0, 1.0], False),
+        # a joint far noisier than the others counts as one of three
+        ([1.05, 1.05, 95.0], [1.0, 1.0, 100.0], False),
+        ([0.0, 0.0], [0.0, 0.0], False),
+    ],
+)
 def test_a_noise_is_refused_where_the_joints_speak_against_it(before, after, wanted):
     assert Selection._moved_away(np.array(before), np.array(after)) is wanted
 
@@ -168,15 +193,13 @@ def test_a_further_name_must_reach_a_share_of_what_the_first_gained_at_its_joint
     rows = np.ones((4, 3), dtype=bool)
     rows[3, 1] = False
     model = replace(first.fitted, errors=np.zeros((4, 3)))
-    named = Stage([first], 16.0, replace(fitted(), errors=before), [], None,
-                  replace(first, fitted=model))
+    named = Stage([first], 16.0, replace(fitted(), errors=before), [], None, replace(first, fitted=model))
     gains = Selection._gains(SimpleNamespace(predictor=SimpleNamespace(fit_rows=rows)), named)
     # a row that is not fitted says nothing; a joint where little was gained counts for a part
     assert gains == pytest.approx({None: 1000.0, 1: 900.0, 2: 200.0, 3: 200.0})
     stage = Stage([], 4.0, None, [], None, first=gains)
     assert [stage.needed(joint) for joint in (None, 1, 3)] == pytest.approx([15.0, 13.5, 4.0])
-    assert [stage.needed_untried(joint) for joint in (None, 1, 3)] == pytest.approx(
-        [30.0, 27.0, 25.0])
+    assert [stage.needed_untried(joint) for joint in (None, 1, 3)] == pytest.approx([30.0, 27.0, 25.0])
     alone = Stage([], 16.0, None, [], None)
     assert alone.needed(1) == 16.0 and alone.needed_untried(None) == 25.0
 
@@ -191,54 +214,69 @@ def test_kinds_that_an_effect_contains_are_those_tried_beside_it():
     assert [t.key for t in inner] == [("coulomb_friction", 2)]
     # a blow fits any single event: what it contains is chosen elsewhere
     blow = trial(("impulse", 2), 100.0)
-    stage = Stage([blow, replace(trial(("current_limit", 2), 99.0), fitted=fitted())], 15.0, None,
-                  [], None, blow)
+    stage = Stage([blow, replace(trial(("current_limit", 2), 99.0), fitted=fitted())], 15.0, None, [], None, blow)
     assert Tidying._contained(chooser, [stage], blow.key, (blow.key,)) == []
 
 
-@pytest.mark.parametrize("ends, impossible, wanted, gain", [
-    # what was promised holds: nothing else is asked
-    ({"position": 1000.0, "coulomb": 1083.0, "asymmetric": 900.0}, (), "position", 100.0),
-    # it does not: another kind that contains the simpler one is better
-    ({"position": 1000.0, "coulomb": 1006.0, "asymmetric": 993.0}, (), "asymmetric", 109.0),
-    # ... but no name where it comes out as no machine has it
-    ({"position": 1000.0, "coulomb": 1006.0, "asymmetric": 993.0}, ("asymmetric",), "position",
-     100.0),
-    # ... nor by less than its coefficients cost
-    ({"position": 1000.0, "coulomb": 1001.0, "asymmetric": 999.5}, (), "coulomb", 103.0)])
-def test_kinds_whose_trials_had_not_come_to_their_end_are_fitted_to_it(
-        ends, impossible, wanted, gain, monkeypatch):
-    full = {"position": "position_dependent_friction", "coulomb": "coulomb_friction",
-            "asymmetric": "asymmetric_coulomb_friction"}
-    values = {"position": "torque=2,amplitude=1", "coulomb": "torque=2",
-              "asymmetric": "positive=2,negative=1"}
+@pytest.mark.parametrize(
+    "ends, impossible, wanted, gain",
+    [
+        # what was promised holds: nothing else is asked
+        ({"position": 1000.0, "coulomb": 1083.0, "asymmetric": 900.0}, (), "position", 100.0),
+        # it does not: another kind that contains the simpler one is better
+        ({"position": 1000.0, "coulomb": 1006.0, "asymmetric": 993.0}, (), "asymmetric", 109.0),
+        # ... but no name where it comes out as no machine has it
+        ({"position": 1000.0, "coulomb": 1006.0, "asymmetric": 993.0}, ("asymmetric",), "position", 100.0),
+        # ... nor by less than its coefficients cost
+        ({"position": 1000.0, "coulomb": 1001.0, "asymmetric": 999.5}, (), "coulomb", 103.0),
+    ],
+)
+def test_kinds_whose_trials_had_not_come_to_their_end_are_fitted_to_it(ends, impossible, wanted, gain, monkeypatch):
+    full = {
+        "position": "position_dependent_friction",
+        "coulomb": "coulomb_friction",
+        "asymmetric": "asymmetric_coulomb_friction",
+    }
+    values = {"position": "torque=2,amplitude=1", "coulomb": "torque=2", "asymmetric": "positive=2,negative=1"}
 
     def tried(short, gain, price):
         effect = parse_effect(f"{full[short]}:joint=2,{values[short]}")
         model = Fitted(Point(np.zeros(1), (effect,)), np.zeros((4, 3)), 0.0, ())
         return replace(trial((full[short], 2), gain, price), fitted=model)
 
-    position, *others = (tried("position", 100.0, 10.0), tried("coulomb", 20.0, 6.0),
-                         tried("asymmetric", 80.0, 8.0))
+    position, *others = (tried("position", 100.0, 10.0), tried("coulomb", 20.0, 6.0), tried("asymmetric", 80.0, 8.0))
     stage = Stage([position, *others], 16.0, None, [], None, position)
     ending = {full[short]: objective for short, objective in ends.items()}
-    monkeypatch.setattr(PredictionFit, "to_end", lambda fit, at, pairs: (
-        Fitted(at, np.zeros((4, 3)), ending[at.effects[0].kind.name], ()), None))
-    tidying = Tidying(SimpleNamespace(fit_rows=None, mechanism=None),
-                      SimpleNamespace(free=lambda point, keys: (), implausible=lambda effect: (
-                          effect.kind.name in {full[short] for short in impossible})), KINDS)
+    monkeypatch.setattr(
+        PredictionFit,
+        "to_end",
+        lambda fit, at, pairs: (Fitted(at, np.zeros((4, 3)), ending[at.effects[0].kind.name], ()), None),
+    )
+    tidying = Tidying(
+        SimpleNamespace(fit_rows=None, mechanism=None),
+        SimpleNamespace(
+            free=lambda point, keys: (),
+            implausible=lambda effect: effect.kind.name in {full[short] for short in impossible},
+        ),
+        KINDS,
+    )
     prices, swapped = {position.key: position.price}, {}
-    point, keys = tidying.simplified(position.fitted.point, (position.key,), None, [stage],
-                                     prices, swapped)
+    point, keys = tidying.simplified(position.fitted.point, (position.key,), None, [stage], prices, swapped)
     assert keys == ((full[wanted], 2),) and point.effects[0].kind.name == full[wanted]
     selected = Selected(fitted(), fitted(*keys), keys, [stage], None, swapped=swapped)
     assert selected.gain_of(keys[0]) == pytest.approx(gain) and keys[0] in prices
 
 
-@pytest.mark.parametrize("best, other, wanted", [
-    (100.0, 93.0, True), (100.0, 91.0, False),
-    # of much evidence a small share is no difference
-    (10000.0, 9975.0, True), (10000.0, 9960.0, False)])
+@pytest.mark.parametrize(
+    "best, other, wanted",
+    [
+        (100.0, 93.0, True),
+        (100.0, 91.0, False),
+        # of much evidence a small share is no difference
+        (10000.0, 9975.0, True),
+        (10000.0, 9960.0, False),
+    ],
+)
 def test_a_tie_is_a_difference_that_the_log_cannot_show(best, other, wanted):
     assert tied(trial(A, best), trial(B, other)) is wanted
 
@@ -266,12 +304,16 @@ def offset(gain, angle, problem):
     return Trial("encoder_offset", 2, gain, 5.0, model, 3.0, problem)
 
 
-@pytest.mark.parametrize("gain, rival, problem, found", [
-    (120.0, 90.0, "more than any machine has", True),
-    (105.0, 90.0, "more than any machine has", False),  # not clearly better than an effect
-    (120.0, 90.0, None, False),  # one that a sensor may have is an effect like others
-    (60.0, 0.0, "more than any machine has", True),
-    (25.0, 0.0, "more than any machine has", False)])  # not above the threshold by enough
+@pytest.mark.parametrize(
+    "gain, rival, problem, found",
+    [
+        (120.0, 90.0, "more than any machine has", True),
+        (105.0, 90.0, "more than any machine has", False),  # not clearly better than an effect
+        (120.0, 90.0, None, False),  # one that a sensor may have is an effect like others
+        (60.0, 0.0, "more than any machine has", True),
+        (25.0, 0.0, "more than any machine has", False),
+    ],
+)  # not above the threshold by enough
 def test_a_zero_that_no_sensor_has_is_a_fault_of_the_data(gain, rival, problem, found):
     stage = Stage([offset(gain, 0.9, problem), trial(A, rival)], 15.0, None, [], None)
     faults = wrong_zeros([stage])

@@ -10,8 +10,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-
 from loop_logs import pieces, record
+
 from puma_sim_core.effects import KINDS, Effect, parse_effect
 from puma_sim_core.loop import explain
 from puma_sim_core.loop.evidence import Scored
@@ -28,23 +28,28 @@ PENDULUM = load_mechanism("pendulum")
 HIGHEST = float(record(PENDULUM, PENDULUM.plant()).position.max())
 
 
-@pytest.mark.parametrize("text, off", [
-    (f"soft_stop:joint=1,lower=-9,upper={HIGHEST - 0.1},stiffness=0.3,damping=0",
-     {"upper": -0.005, "stiffness": 0.1}),
-    (f"soft_stop:joint=1,lower=-9,upper={HIGHEST - 0.1},stiffness=0.3,damping=0", {"upper": 0.008}),
-    ("impulse:joint=1,torque=0.3,time=7.3,width=0.06", {"time": 0.02, "width": 0.01}),
-    ("impulse:joint=1,torque=0.3,time=7.3,width=0.06", {"time": -0.02}),
-    ("transmission_error:joint=1,amplitude=0.002,order=40,phase=1", {"order": 0.4}),
-    # a step by its size would be one to below nothing
-    ("friction_warm_up:joint=1,share=0.8,time_constant=1.5", {"time_constant": 9.0})])
+@pytest.mark.parametrize(
+    "text, off",
+    [
+        (
+            f"soft_stop:joint=1,lower=-9,upper={HIGHEST - 0.1},stiffness=0.3,damping=0",
+            {"upper": -0.005, "stiffness": 0.1},
+        ),
+        (f"soft_stop:joint=1,lower=-9,upper={HIGHEST - 0.1},stiffness=0.3,damping=0", {"upper": 0.008}),
+        ("impulse:joint=1,torque=0.3,time=7.3,width=0.06", {"time": 0.02, "width": 0.01}),
+        ("impulse:joint=1,torque=0.3,time=7.3,width=0.06", {"time": -0.02}),
+        ("transmission_error:joint=1,amplitude=0.002,order=40,phase=1", {"order": 0.4}),
+        # a step by its size would be one to below nothing
+        ("friction_warm_up:joint=1,share=0.8,time_constant=1.5", {"time_constant": 9.0}),
+    ],
+)
 def test_a_fit_comes_to_the_place(text, off):
     true = parse_effect(text)
     log = record(PENDULUM, PENDULUM.plant(effects=(true,)), volts=NOISE, noise=1e-5)
     problem, _, predictor = pieces(PENDULUM, log, NOISE, 1e-5)
     weighting = predictor.white_weighting(predictor.errors(PENDULUM.plant(effects=(true,))))
     fit = PredictionFit(predictor, weighting)
-    start = Effect(true.kind, 1, {name: value + off.get(name, 0.0)
-                                  for name, value in true.values.items()})
+    start = Effect(true.kind, 1, {name: value + off.get(name, 0.0) for name, value in true.values.items()})
     found = fit.run(Point(PENDULUM.start, (start,)), [(0, name) for name in off], rounds=8)
     errors = fit.errors(Point(PENDULUM.start, (true,)))
     # better than the truth by what noise gives to so many parameters
@@ -74,8 +79,10 @@ def test_a_step_that_leaves_a_bent_valley_is_followed_by_one_back_into_it():
         """Errors of the product of two numbers, the first with a prior: b = 12 / a is the valley."""
 
         def __init__(self):
-            self.rows, self.mechanism = np.ones((1, 1), dtype=bool), SimpleNamespace(
-                start=np.array([1.0]), deviations=np.array([0.1]), joints=1, clip=lambda x: x)
+            self.rows, self.mechanism = (
+                np.ones((1, 1), dtype=bool),
+                SimpleNamespace(start=np.array([1.0]), deviations=np.array([0.1]), joints=1, clip=lambda x: x),
+            )
             self.predictor = SimpleNamespace(feasible=lambda x: True)
 
         def errors(self, point):
@@ -101,12 +108,14 @@ def test_a_log_without_any_noise_gives_the_truth():
     arm, friction = load_mechanism(), parse_effect("coulomb_friction:joint=2,torque=12")
     # a kind with more to fit comes to its end first here, and turns out to be Coulomb's
     found = explain(record(arm, arm.plant(effects=(friction,)), seconds=6.0))
-    named, = found.effects
+    (named,) = found.effects
     torque = named.parameters["torque"]
     assert (named.name, named.joint) == ("coulomb_friction", 2)
     assert torque.value == pytest.approx(12.0, rel=2e-3) and torque.low < 12.0 < torque.high
     assert {each.name for each in (*named.tied_with, *named.ruled_out)} >= {
-        "position_dependent_friction", "voltage_dead_band"}
+        "position_dependent_friction",
+        "voltage_dead_band",
+    }
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -150,8 +159,7 @@ def limited():
     scored = Scored("voltage_saturation", 1, 0.0, 0.0, None, None, None, {"voltage": 4.2}, price=3.0)
 
     def tried(value, theta):
-        return trials.run(fit, base, known, (), scored,
-                          Point(theta, (Effect(limit.kind, 1, {"voltage": value}),)))
+        return trials.run(fit, base, known, (), scored, Point(theta, (Effect(limit.kind, 1, {"voltage": value}),)))
 
     return fit, base, known, trials, scored, tried
 
@@ -177,7 +185,7 @@ def test_a_trial_by_itself_is_fitted_to_its_end_where_rows_kept_back_speak_again
     fit, base, known, trials, scored, tried = limited()
     rough = replace(tried(4.5, base.point.theta), held_gain=10.0)
     assert trials.polished(fit, base, None, (), [scored], [rough]) == [rough]
-    polished, = trials.polished(fit, base, None, (), [scored], [replace(rough, held_gain=-1.0)])
+    (polished,) = trials.polished(fit, base, None, (), [scored], [replace(rough, held_gain=-1.0)])
     assert polished.gain > rough.gain
 
 
@@ -194,10 +202,14 @@ def test_a_bump_that_came_out_as_nothing_is_tried_again_as_machines_have_it():
 
     level, plain = tried("coulomb_friction:joint=1,torque=0.04")
     bump, good = tried("stribeck_friction:joint=1,torque=0.03,velocity=0.08,sliding=0.03")
-    nothing = Effect(true.kind, 1, {**true.values, "torque": 0.0, "velocity": 1e-3,
-                                    "sliding": plain.fitted.point.effects[0].values["torque"]})
-    stuck = replace(good, gain=plain.gain - 3.0, fitted=replace(
-        plain.fitted, point=Point(plain.fitted.point.theta, (nothing,))))
+    nothing = Effect(
+        true.kind,
+        1,
+        {**true.values, "torque": 0.0, "velocity": 1e-3, "sliding": plain.fitted.point.effects[0].values["torque"]},
+    )
+    stuck = replace(
+        good, gain=plain.gain - 3.0, fitted=replace(plain.fitted, point=Point(plain.fitted.point.theta, (nothing,)))
+    )
 
     def revived(trial):
         return refits.revived(fit, base, None, (), [level, bump], [plain, trial])
@@ -238,9 +250,13 @@ def test_a_step_to_a_model_is_the_one_that_leads_there():
     mechanism = load_mechanism("puma560")
     predictor = SimpleNamespace(fit_rows=None, mechanism=mechanism, feasible=lambda theta: True)
     fit = PredictionFit(predictor, None)
-    point = Point(mechanism.start, (parse_effect(
-        "stribeck_friction:joint=1,torque=2,velocity=0.05,sliding=1"), parse_effect(
-        "current_limit:joint=3,current=2.0")))
+    point = Point(
+        mechanism.start,
+        (
+            parse_effect("stribeck_friction:joint=1,torque=2,velocity=0.05,sliding=1"),
+            parse_effect("current_limit:joint=3,current=2.0"),
+        ),
+    )
     pairs = ((0, "torque"), (0, "velocity"), (1, "current"))
     rng = np.random.default_rng(3)
     sizes = fit.sizes(point, pairs)

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from blind import generate, records
 from gate_support import SERVO, moves, record, waves
+
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.loop.gate import check
 from puma_sim_core.loop.ingest import Log, parse_columns, read_log
@@ -23,8 +23,7 @@ from puma_sim_core.mechanisms import load_mechanism
 pytestmark = pytest.mark.long
 PUMA, PENDULUM, SLIDE = (load_mechanism(name) for name in ("puma560", "pendulum", "slide"))
 #: dry friction of joints 1 to 3, about the greatest that was measured
-FRICTION = tuple(parse_effect(f"coulomb_friction:joint={j},torque={t}")
-                 for j, t in ((1, 25), (2, 14), (3, 7)))
+FRICTION = tuple(parse_effect(f"coulomb_friction:joint={j},torque={t}") for j, t in ((1, 25), (2, 14), (3, 7)))
 DATA = os.environ.get("PUMA_SIM_DATA")
 
 
@@ -35,8 +34,7 @@ def uneven(seed: int, rows: int = 1600) -> np.ndarray:
 
 def dry(kind: str, more: str = "") -> list:
     """An effect with twice the friction that the library lists, on each joint."""
-    return [parse_effect(f"{kind}:joint={j},torque={t}{more}")
-            for j, t in ((1, 50), (2, 28), (3, 14))]
+    return [parse_effect(f"{kind}:joint={j},torque={t}{more}") for j, t in ((1, 50), (2, 28), (3, 14))]
 
 
 def lagging(step: float, hertz: float):
@@ -44,9 +42,9 @@ def lagging(step: float, hertz: float):
     last = []
 
     def measured(_, q):
-        last[:] = [q if not last else
-                   last[0] + (1.0 - np.exp(-2.0 * np.pi * hertz * step)) * (q - last[0])]
+        last[:] = [q if not last else last[0] + (1.0 - np.exp(-2.0 * np.pi * hertz * step)) * (q - last[0])]
         return last[0]
+
     return measured
 
 
@@ -57,6 +55,7 @@ def delayed(rows: int):
     def terminal(_, volts, __):
         before.append(volts)
         return before[max(0, len(before) - 1 - rows)]
+
     return terminal
 
 
@@ -68,28 +67,27 @@ def noisy(seed: int, size: float):
 HONEST = {
     "nothing": lambda: record(1, waves(1)),
     "Coulomb, twice": lambda: record(2, moves(2), effects=dry("coulomb_friction"), dither=0.3),
-    "Coulomb at a crawl": lambda: record(3, waves(3, size=0.1, low=0.03, high=0.1),
-                                         effects=dry("coulomb_friction")),
+    "Coulomb at a crawl": lambda: record(3, waves(3, size=0.1, low=0.03, high=0.1), effects=dry("coulomb_friction")),
     "Stribeck, uneven times": lambda: record(
-        4, waves(4), times=uneven(4), gain=0.5, dither=0.3,
-        effects=dry("stribeck_friction", ",velocity=0.1")),
+        4, waves(4), times=uneven(4), gain=0.5, dither=0.3, effects=dry("stribeck_friction", ",velocity=0.1")
+    ),
     "bristles, one joint moves": lambda: record(
-        5, moves(5, joints=(2,), rest=2.0), effects=dry("presliding_friction", ",stiffness=3000"),
-        step=SERVO),
-    "load": lambda: record(6, moves(6), effects=[parse_effect("payload:mass=5")], step=0.005,
-                           gain=0.5),
-    "a stop": lambda: record(7, waves(7), dither=0.3, effects=[
-        parse_effect("soft_stop:joint=2,stiffness=10000,upper=-0.7")]),
-    "saturation": lambda: record(8, waves(8, size=1.0),
-                                 terminal=lambda t, v, i: np.clip(v, -20.0, 20.0)),
+        5, moves(5, joints=(2,), rest=2.0), effects=dry("presliding_friction", ",stiffness=3000"), step=SERVO
+    ),
+    "load": lambda: record(6, moves(6), effects=[parse_effect("payload:mass=5")], step=0.005, gain=0.5),
+    "a stop": lambda: record(
+        7, waves(7), dither=0.3, effects=[parse_effect("soft_stop:joint=2,stiffness=10000,upper=-0.7")]
+    ),
+    "saturation": lambda: record(8, waves(8, size=1.0), terminal=lambda t, v, i: np.clip(v, -20.0, 20.0)),
     "dead-band, held joints": lambda: record(
-        9, waves(9, joints=(1,)), terminal=lambda t, v, i: v - np.clip(v, -2.0, 2.0)),
-    "droop, 28 ms": lambda: record(10, waves(10), step=0.028, gain=0.08, duration=12.0,
-                                   terminal=lambda t, v, i: v * (1.0 - 0.024 * abs(i).sum())),
+        9, waves(9, joints=(1,)), terminal=lambda t, v, i: v - np.clip(v, -2.0, 2.0)
+    ),
+    "droop, 28 ms": lambda: record(
+        10, waves(10), step=0.028, gain=0.08, duration=12.0, terminal=lambda t, v, i: v * (1.0 - 0.024 * abs(i).sum())
+    ),
     "delay": lambda: record(11, moves(11), terminal=delayed(3), gain=0.5),
     "sensor lag": lambda: record(12, waves(12), measured=lagging(1e-3, 5.0), gain=0.3),
-    "sensor noise, no steps": lambda: record(13, moves(13), quantum=np.zeros(3),
-                                             measured=noisy(13, 1e-4)),
+    "sensor noise, no steps": lambda: record(13, moves(13), quantum=np.zeros(3), measured=noisy(13, 1e-4)),
 }
 
 
@@ -103,7 +101,7 @@ def test_a_lag_of_fast_motion_is_no_wrong_scale(tmp_path):
     """8 ms on joint 3, 5 V of dither, a motion from end to end: the lag makes the voltage of the
     accelerations look like that of another joint."""
     path, answer = generate.make(records.plan("sensor_lag", 61001, 1)[0], tmp_path)
-    effect, = answer["effects"]
+    (effect,) = answer["effects"]
     assert effect["parameters"]["time_constant"] > 7e-3
     assert check(read_log(path), PUMA)[0] == []
 
@@ -115,8 +113,9 @@ def test_measured_logs_have_no_fault():
     assert len(runs) == 8
     for run in runs:
         assert check(read_log(run, columns, 1), PENDULUM)[0] == []
-    slide = read_log(Path(DATA, "emps", "emps_train.csv"),
-                     parse_columns("time=t_s,voltage1=vir_V,position1=q_meas_m"), 1)
+    slide = read_log(
+        Path(DATA, "emps", "emps_train.csv"), parse_columns("time=t_s,voltage1=vir_V,position1=q_meas_m"), 1
+    )
     assert check(slide, SLIDE)[0] == []
     assert check(read_log(runs[-1], columns, 1), SLIDE)[0]
 
@@ -145,8 +144,8 @@ def put(log: Log, channel: str, rows, change) -> Log:
 
 def dropped(log: Log, first: int, rows: int, stamped_again: bool = False) -> Log:
     stay = np.ones(len(log), dtype=bool)
-    stay[first:first + rows] = False
-    time = log.time[:stay.sum()] if stamped_again else log.time[stay]
+    stay[first : first + rows] = False
+    time = log.time[: stay.sum()] if stamped_again else log.time[stay]
     return replace(log, time=time, voltage=log.voltage[stay], position=log.position[stay])
 
 
@@ -155,7 +154,7 @@ def moving_row(log: Log, joint: int, after: float = 0.3) -> int:
     speed = np.abs(np.gradient(log.position[:, joint - 1], log.time))
     smooth = np.convolve(speed, np.ones(25) / 25.0, "same")
     first = int(after * len(log))
-    return first + int(np.argmax(smooth[first:first + len(log) // 3]))
+    return first + int(np.argmax(smooth[first : first + len(log) // 3]))
 
 
 def named(log: Log, mechanism=PUMA) -> dict[str, int | None]:
@@ -185,7 +184,7 @@ def test_faults_of_rows_are_named_with_their_row(rate):
     for n, (faulty, channel, row) in enumerate(cases):
         found = named(faulty)
         assert found[channel] == row + 1, n
-        assert set(found) <= {channel} or n == 5 and set(found.values()) == {row + 1}, n
+        assert set(found) <= {channel} or (n == 5 and set(found.values()) == {row + 1}), n
     if rate == "1 kHz":
         assert named(dropped(log, r, 1)) == {"time": r + 1}
 
@@ -206,16 +205,14 @@ def test_frozen_channels(rate):
     for joint, lasts in ((1, 0.5), (2, 0.5), (2, 1e3), (3, 1e3)):
         row = moving_row(log, joint)
         held = log.position[row - 1, joint - 1]
-        found = named(put(log, f"position{joint}", slice(row, row + int(lasts / step)),
-                          lambda q: 0.0 * q + held))
+        found = named(put(log, f"position{joint}", slice(row, row + int(lasts / step)), lambda q: 0.0 * q + held))
         assert list(found) == [f"position{joint}"]
         assert abs(found[f"position{joint}"] - row - 1) <= 4
     whole = put(log, "position2", slice(None), lambda q: 0.0 * q - 0.9)
     assert named(whole) == {"position2": None}
     assert named(put(log, "voltage3", slice(None), lambda v: 0.0 * v + 3.0)) == {"voltage3": None}
     row = moving_row(log, 3)
-    stuck = put(log, "voltage3", slice(row, row + int(1.5 / step)),
-                lambda v: 0.0 * v + log.voltage[row - 1, 2])
+    stuck = put(log, "voltage3", slice(row, row + int(1.5 / step)), lambda v: 0.0 * v + log.voltage[row - 1, 2])
     found = named(stuck)
     assert list(found) == ["voltage3"] and found["voltage3"] in (None, row + 1)
 
@@ -231,13 +228,14 @@ def test_channels_that_are_not_what_they_are_called():
         volts = {f"voltage{joint}": None, f"voltage{other}": None}
         every = slice(None)
         for faulty, expected in (
-                (put(log, position, every, np.negative), {position: None}),
-                (put(log, voltage, every, np.negative), {voltage: None}),
-                (put(log, position, every, np.degrees), {position: None}),
-                (put(log, position, every, lambda q: 1.72 * q), {position: None}),
-                (put(log, voltage, every, lambda v: 1e3 * v), {voltage: None}),
-                (replace(log, position=log.position[:, order], quantum=np.zeros(0)), pair),
-                (replace(log, voltage=log.voltage[:, order]), volts)):
+            (put(log, position, every, np.negative), {position: None}),
+            (put(log, voltage, every, np.negative), {voltage: None}),
+            (put(log, position, every, np.degrees), {position: None}),
+            (put(log, position, every, lambda q: 1.72 * q), {position: None}),
+            (put(log, voltage, every, lambda v: 1e3 * v), {voltage: None}),
+            (replace(log, position=log.position[:, order], quantum=np.zeros(0)), pair),
+            (replace(log, voltage=log.voltage[:, order]), volts),
+        ):
             assert named(faulty) == expected, (joint, expected)
 
 
@@ -269,45 +267,43 @@ def test_logs_that_tell_nothing_and_enable_that_is_no_switch():
 
 # -- machines of one joint ---------------------------------------------------------------------
 
+
 def one_joint(mechanism, seed: int, amplitude: float, friction: float, step: float = 0.004) -> Log:
     """A log of one joint on its way along three sines, its volts by the inverse model with
     parameters that are wrong, dry friction and noise."""
     random = np.random.default_rng(seed)
-    theta = mechanism.start + 0.7 * mechanism.deviations * random.uniform(-1, 1,
-                                                                          len(mechanism.start))
+    theta = mechanism.start + 0.7 * mechanism.deviations * random.uniform(-1, 1, len(mechanism.start))
     time = step * np.arange(int(6.0 / step))
     q, qd, qdd = np.zeros((3, len(time), 1))
     for f, phase in zip(random.uniform(0.2, 1.2, 3), random.uniform(0.0, 6.0, 3)):
         turn = 2.0 * np.pi * f
         q[:, 0] += amplitude * np.sin(turn * time + phase)
         qd[:, 0] += amplitude * turn * np.cos(turn * time + phase)
-        qdd[:, 0] -= amplitude * turn ** 2 * np.sin(turn * time + phase)
+        qdd[:, 0] -= amplitude * turn**2 * np.sin(turn * time + phase)
     k = mechanism.drive(theta).volts_per_torque
-    volts = (mechanism.model_voltage(theta, q, qd, qdd)
-             + k * mechanism.torque_scale * friction * np.tanh(50.0 * qd / np.abs(qd).max()))
+    volts = mechanism.model_voltage(theta, q, qd, qdd) + k * mechanism.torque_scale * friction * np.tanh(
+        50.0 * qd / np.abs(qd).max()
+    )
     volts += 0.02 * volts.std() * random.standard_normal(volts.shape)
     quantum = 2e-4 * amplitude
     return Log("one", time, volts, np.round(q / quantum) * quantum)
 
 
-@pytest.mark.parametrize("mechanism, amplitude", [(PENDULUM, 0.4), (SLIDE, 0.04)],
-                         ids=["pendulum", "slide"])
+@pytest.mark.parametrize("mechanism, amplitude", [(PENDULUM, 0.4), (SLIDE, 0.04)], ids=["pendulum", "slide"])
 def test_machines_of_one_joint(mechanism, amplitude):
     for friction in (0.0, 2.0):
         log = one_joint(mechanism, 5, amplitude, friction)
         assert named(log, mechanism) == {}
         row = moving_row(log, 1)
         everywhere = slice(None)
-        assert named(put(log, "position1", everywhere, np.negative), mechanism) == {
-            "position1": None}
-        assert named(put(log, "voltage1", everywhere, np.negative), mechanism) == {
-            "position1": None}  # the same
+        assert named(put(log, "position1", everywhere, np.negative), mechanism) == {"position1": None}
+        assert named(put(log, "voltage1", everywhere, np.negative), mechanism) == {"position1": None}  # the same
         thousand = put(log, "position1", everywhere, lambda q: 1e3 * q)
         assert named(thousand, mechanism) == {"position1": None}
-        assert named(put(log, "position1", [row], lambda q: q + 0.3 * amplitude), mechanism) == {
-            "position1": row + 1}
-        found = named(put(log, "position1", slice(row, row + 120),
-                          lambda q: 0.0 * q + log.position[row - 1, 0]), mechanism)
+        assert named(put(log, "position1", [row], lambda q: q + 0.3 * amplitude), mechanism) == {"position1": row + 1}
+        found = named(
+            put(log, "position1", slice(row, row + 120), lambda q: 0.0 * q + log.position[row - 1, 0]), mechanism
+        )
         assert list(found) == ["position1"] and abs(found["position1"] - row - 1) <= 4
         mixed = replace(log, voltage=log.voltage[::-1].copy())
         assert named(mixed, mechanism)

@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from loop_logs import pieces, record
 from scipy.optimize import minimize_scalar
 
-from loop_logs import pieces, record
 from puma_sim_core.effects import Effect, parse_effect
 from puma_sim_core.loop.held_out import Fold, HeldOut, Model
 from puma_sim_core.loop.prediction import Fitted, Point, PredictionFit
@@ -79,16 +79,16 @@ def test_the_errors_are_those_of_all_windows_together():
     held_out, fitted = fits()
     model = fitted(None)
     points = held_out._points(model)
-    parts = [fold.validation.window_errors(held_out._plant(point), "held_out")
-             for fold, point in zip(held_out.folds, points)]
-    together = np.sqrt(sum((e ** 2).sum() for e in parts) / sum(len(e) for e in parts))
+    parts = [
+        fold.validation.window_errors(held_out._plant(point), "held_out") for fold, point in zip(held_out.folds, points)
+    ]
+    together = np.sqrt(sum((e**2).sum() for e in parts) / sum(len(e) for e in parts))
     assert np.allclose(held_out.position_rms(model), together, rtol=1e-12)
     start = Point(held_out.folds[0].predictor.mechanism.start, ())
     models = {"nominal": start, "retuned": model, "augmented": model}
     tables = held_out.errors(models, np.array([0.1]), (np.array([NOISE]), np.array([1e-5])))
     assert np.array_equal(tables["held_out"].position_rms.augmented, held_out.position_rms(model))
-    assert np.array_equal(tables["unseen"].position_rms.retuned, held_out.unseen(
-        model.fitted.point))
+    assert np.array_equal(tables["unseen"].position_rms.retuned, held_out.unseen(model.fitted.point))
     assert np.array_equal(tables["unseen"].position_rms.nominal, held_out.unseen(start))
 
 
@@ -125,8 +125,9 @@ def test_logs_that_are_kept_back_are_predicted_as_they_are():
     weighting = predictor.white_weighting(predictor.errors(mechanism.plant()))
     model = Model(Fitted(point, np.zeros((0, 1)), 0.0, ()), weighting)
     assert held_out._points(model) == [point]
-    assert set(held_out.errors({"nominal": point, "retuned": model, "augmented": model},
-                               np.ones(1), (np.ones(1), np.ones(1)))) == {"held_out"}
+    assert set(
+        held_out.errors({"nominal": point, "retuned": model, "augmented": model}, np.ones(1), (np.ones(1), np.ones(1)))
+    ) == {"held_out"}
 
 
 def test_without_any_window_nothing_is_said_against_a_name():

@@ -8,10 +8,10 @@ import subprocess
 import sys
 import tracemalloc
 
+import cli_support as cli
 import numpy as np
 import pytest
 
-import cli_support as cli
 from puma_sim_core import csv_rows
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.errors import BagError, PumaSimError, RecordingError
@@ -36,8 +36,15 @@ def file(tmp_path):
 
 
 def test_channels_in_any_order_with_comments_and_other_columns(file):
-    write(file, "# a servo", "", "note,position1,time,voltage1,setpoint1,enable", "a,1,0.5,2,3,1",
-          "# between", "b,4,0.75,5,6,0")
+    write(
+        file,
+        "# a servo",
+        "",
+        "note,position1,time,voltage1,setpoint1,enable",
+        "a,1,0.5,2,3,1",
+        "# between",
+        "b,4,0.75,5,6,0",
+    )
     log = read_log(file, joints=1)
     assert log.time.tolist() == [0.5, 0.75]
     assert log.voltage.tolist() == [[2.0], [5.0]] and log.position.tolist() == [[1.0], [4.0]]
@@ -58,18 +65,23 @@ def test_a_map_reads_anyones_names_and_one_enable_serves_all_joints(file):
     assert log.notes == ("Columns that are not used: position1.",)
 
 
-@pytest.mark.parametrize("text, says", [
-    ("time=t,voltage1", "'voltage1'"), ("time=a,time=b", "'time' stands twice"), ("=a", "'=a'")])
+@pytest.mark.parametrize(
+    "text, says", [("time=t,voltage1", "'voltage1'"), ("time=a,time=b", "'time' stands twice"), ("=a", "'=a'")]
+)
 def test_a_map_that_is_none(text, says):
     with pytest.raises(RecordingError, match=says):
         parse_columns(text)
 
 
-@pytest.mark.parametrize("columns, says", [
-    ("voltage1=motor_U", ["no column 'motor_U'", "voltage1", "line 1", "motor_V, q_rad"]),
-    ("speed1=q_rad", ["unknown channel 'speed1'", "velocity1"]),
-    ("voltage1=motor_V", ["channel 'position1' is missing", "motor_V, q_rad"]),
-    ("voltage1=q_rad,position1=q_rad", ["'q_rad' is both voltage1 and position1"])])
+@pytest.mark.parametrize(
+    "columns, says",
+    [
+        ("voltage1=motor_U", ["no column 'motor_U'", "voltage1", "line 1", "motor_V, q_rad"]),
+        ("speed1=q_rad", ["unknown channel 'speed1'", "velocity1"]),
+        ("voltage1=motor_V", ["channel 'position1' is missing", "motor_V, q_rad"]),
+        ("voltage1=q_rad,position1=q_rad", ["'q_rad' is both voltage1 and position1"]),
+    ],
+)
 def test_a_wrong_map_names_the_column_and_those_that_there_are(file, columns, says):
     write(file, "time,motor_V,q_rad", "0,1,2")
     with pytest.raises(RecordingError) as error:
@@ -77,15 +89,19 @@ def test_a_wrong_map_names_the_column_and_those_that_there_are(file, columns, sa
     assert all(part in str(error.value) for part in says), error.value
 
 
-@pytest.mark.parametrize("lines, says", [
-    ((NAMES,), ["has no rows"]),
-    ((), ["is empty"]),
-    ((NAMES, "0,1,2", "0.1,x,2"), ["line 3, column voltage1: 'x'"]),
-    ((NAMES, "0,1,2", "# c", "0.1,1"), ["line 4: 2 fields", "3 numbers"]),
-    ((NAMES, "0,1,2,3"), ["line 2: 4 fields"]),
-    ((NAMES + ",voltage1", "0,1,2,3"), ["'voltage1' stands twice"]),
-    ((NAMES + ",position2,voltage2", "0,1,2,3,4"), ["column 'voltage2'", "1 joint"]),
-    (("0,1,2", "1,2,3"), ["channel 'time' is missing"])])
+@pytest.mark.parametrize(
+    "lines, says",
+    [
+        ((NAMES,), ["has no rows"]),
+        ((), ["is empty"]),
+        ((NAMES, "0,1,2", "0.1,x,2"), ["line 3, column voltage1: 'x'"]),
+        ((NAMES, "0,1,2", "# c", "0.1,1"), ["line 4: 2 fields", "3 numbers"]),
+        ((NAMES, "0,1,2,3"), ["line 2: 4 fields"]),
+        ((NAMES + ",voltage1", "0,1,2,3"), ["'voltage1' stands twice"]),
+        ((NAMES + ",position2,voltage2", "0,1,2,3,4"), ["column 'voltage2'", "1 joint"]),
+        (("0,1,2", "1,2,3"), ["channel 'time' is missing"]),
+    ],
+)
 def test_what_cannot_be_read_names_line_and_column(file, lines, says):
     write(file, *lines)
     with pytest.raises(RecordingError) as error:
@@ -123,7 +139,7 @@ def test_blocks_give_what_the_file_holds_and_long_files_are_cut_with_a_note(file
     random = np.random.default_rng(5)
     table = np.column_stack([np.arange(5000) * 1e-3, random.normal(size=(5000, 2))])
     lines = [",".join(map(repr, row)) for row in table.tolist()]
-    lines[2500] = lines[2500].replace(",", ',"').replace(',"', ",", 1) + '"'   # the slow way
+    lines[2500] = lines[2500].replace(",", ',"').replace(',"', ",", 1) + '"'  # the slow way
     write(file, NAMES, "# " + 50 * "x", *lines)
     monkeypatch.setattr(csv_rows, "_CHUNK", 7001)
     log = read_log(file, joints=1)
@@ -138,8 +154,7 @@ def test_memory_does_not_grow_with_the_file(file):
     with open(file, "w") as out:
         out.write(NAMES + "\n")
         for part in range(20):
-            out.write("".join(f"{r * 1e-3:.4f},1.25,0.5\n"
-                              for r in range(part * 10000, part * 10000 + 10000)))
+            out.write("".join(f"{r * 1e-3:.4f},1.25,0.5\n" for r in range(part * 10000, part * 10000 + 10000)))
     tracemalloc.start()
     log = read_log(file, joints=1, greatest_rows=20000)
     _, most = tracemalloc.get_traced_memory()
@@ -164,19 +179,19 @@ def test_a_huge_file_takes_no_more_memory_than_the_rows_that_are_read(file):
     its own, whose peak is its own. Behind those rows the time would go back."""
     time = 1e-3 * np.arange(GREATEST_ROWS)
     q = np.column_stack([0.5 * np.sin(2.0 * np.pi * f * time) for f in (0.3, 0.4, 0.5)])
-    rows = "".join(",".join(f"{value:.4f}" for value in row) + "\n"
-                   for row in np.column_stack([time, 10.0 * q, q]).tolist())
+    rows = "".join(
+        ",".join(f"{value:.4f}" for value in row) + "\n" for row in np.column_stack([time, 10.0 * q, q]).tolist()
+    )
     peaks = []
     for times in (2, 10):
         with open(file, "w") as out:
             out.write("time,voltage1,voltage2,voltage3,position1,position2,position3\n")
             for _ in range(times):
                 out.write(rows)
-        done = subprocess.run([sys.executable, "-c", _PEAK, str(file)], text=True,
-                              capture_output=True, check=True)
+        done = subprocess.run([sys.executable, "-c", _PEAK, str(file)], text=True, capture_output=True, check=True)
         read, backwards, told, peak = map(int, done.stdout.split())
         assert (read, backwards, told) == (GREATEST_ROWS, 0, 1)
-        peaks.append(peak / 1024.0)    # MB
+        peaks.append(peak / 1024.0)  # MB
     assert peaks[1] < peaks[0] + 20.0
 
 
@@ -196,9 +211,9 @@ def test_the_step_of_an_encoder(step, digits):
 
 # -- bags -----------------------------------------------------------------------------------------
 
+
 def commands(random, steps, silent):
-    return {k: [(None, tuple(random.uniform(-50.0, 50.0, 3)))] for k in range(steps)
-            if k % 3 and k not in silent}
+    return {k: [(None, tuple(random.uniform(-50.0, 50.0, 3)))] for k in range(steps) if k % 3 and k not in silent}
 
 
 def test_a_bag_gives_the_volts_that_were_commanded_and_no_others(tmp_path):
@@ -207,8 +222,9 @@ def test_a_bag_gives_the_volts_that_were_commanded_and_no_others(tmp_path):
     steps = 90
     given = commands(np.random.default_rng(3), steps, range(30, 60))
     quiet = SessionConfig(Plant.of("bejczy"), command_timeout=0.3)
-    lossy = SessionConfig(Plant.of("bejczy", [parse_effect(
-        "voltage_saturation:joint=2,voltage=9")]), command_timeout=0.3)
+    lossy = SessionConfig(
+        Plant.of("bejczy", [parse_effect("voltage_saturation:joint=2,voltage=9")]), command_timeout=0.3
+    )
     logs = []
     for name, config in (("quiet", quiet), ("lossy", lossy)):
         cli.record_session(tmp_path / name, config, given, steps)
@@ -233,8 +249,7 @@ def test_bags_of_positions_need_a_row_for_each_servo_sample(tmp_path):
     cli.record_session(tmp_path / "coarse", config, given, 20)
     with pytest.raises(RecordingError, match="30 samples.*substeps 1"):
         read_log(tmp_path / "coarse")
-    config = SessionConfig(Plant.of("bejczy"), command_interface="position", period=1e-3,
-                           substeps=1)
+    config = SessionConfig(Plant.of("bejczy"), command_interface="position", period=1e-3, substeps=1)
     cli.record_session(tmp_path / "fine", config, given, 20)
     log = read_log(tmp_path / "fine" / "fine_0.mcap")
     assert len(log) == 21 and np.any(log.voltage != 0.0) and "at the motors" in log.notes[0]

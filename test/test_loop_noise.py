@@ -27,21 +27,22 @@ def predictor():
     """Of the nominal arm, along a motion of its own with noise."""
     arm, rng = load_mechanism(), np.random.default_rng(5)
     time = np.arange(0.0, 10.0, STEP)
-    volts = sum(rng.uniform(2.0, 5.0, 3) * np.sin(rng.uniform(2.0, 9.0, 3) * time[:, None]
-                                                  + rng.uniform(0.0, 6.0, 3)) for _ in range(3))
+    volts = sum(
+        rng.uniform(2.0, 5.0, 3) * np.sin(rng.uniform(2.0, 9.0, 3) * time[:, None] + rng.uniform(0.0, 6.0, 3))
+        for _ in range(3)
+    )
     simulator = Simulator(arm.plant(arm.start))
     simulator.reset((0.1, -0.9, 1.1))
     run = simulator.run(time, volts + VOLTS * rng.standard_normal(volts.shape))
     log = Log("own", time, volts, run.position + POSITION * rng.standard_normal(volts.shape))
-    return Predictor([log], arm, [lambda t: (t > 4.0) & (t < 5.0)], np.full(3, VOLTS),
-                     np.full(3, POSITION))
+    return Predictor([log], arm, [lambda t: (t > 4.0) & (t < 5.0)], np.full(3, VOLTS), np.full(3, POSITION))
 
 
 def lasting(predictor, joint, seed, time=0.05, volts=0.3):
     """Innovations of a disturbance that lasts, past the observer, and white ones [rad]."""
     rng, n = np.random.default_rng(seed), predictor.lengths[0]
     keep = np.exp(-STEP / time)
-    drive = lfilter([np.sqrt(1.0 - keep ** 2)], [1.0, -keep], volts * rng.standard_normal(n))
+    drive = lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], volts * rng.standard_normal(n))
     passed = oaconvolve(drive, predictor.responses[joint])[:n]
     return passed + predictor.spread[joint] * rng.standard_normal(n)
 
@@ -62,11 +63,11 @@ def test_noise_that_lasts_is_made_white_and_of_variance_one(predictor):
     for j in range(3):
         e = white[:, j]
         assert e.var() == pytest.approx(1.0, abs=0.12)
-        slow = e[:len(e) // 50 * 50].reshape(-1, 50).mean(axis=1) * np.sqrt(50.0)
+        slow = e[: len(e) // 50 * 50].reshape(-1, 50).mean(axis=1) * np.sqrt(50.0)
         raw = errors[2000:, j] / errors[2000:, j].std()
         assert slow.var() < 1.8
         # which is no wonder of the averaging: the innovations as they are fail by far
-        assert raw[:len(e) // 50 * 50].reshape(-1, 50).mean(axis=1).var() * 50.0 > 4.0
+        assert raw[: len(e) // 50 * 50].reshape(-1, 50).mean(axis=1).var() * 50.0 > 4.0
 
 
 def test_a_line_is_not_taken_for_noise(predictor):
@@ -111,15 +112,13 @@ def test_long_and_short_filters_do_the_same():
 
 
 def test_a_play_follows_its_input_at_the_distance_of_its_half_width():
-    values = np.concatenate([np.linspace(0.0, 1.0, 50), np.linspace(1.0, -1.0, 100),
-                             np.linspace(-1.0, 0.5, 80)])
+    values = np.concatenate([np.linspace(0.0, 1.0, 50), np.linspace(1.0, -1.0, 100), np.linspace(-1.0, 0.5, 80)])
     held = shape.play(values, np.zeros(len(values)), 0.2)
     assert np.abs(held).max() <= 0.2 + 1e-12
     assert held[49] == pytest.approx(0.2) and held[149] == pytest.approx(-0.2)
     # the loop between two turning points does not depend on what went before (wiping out)
-    other = shape.play(np.concatenate([np.sin(np.arange(40.0)), values]),
-                       np.zeros(len(values) + 40), 0.2)
-    assert np.abs(other[40 + 60:] - held[60:]).max() < 1e-12
+    other = shape.play(np.concatenate([np.sin(np.arange(40.0)), values]), np.zeros(len(values) + 40), 0.2)
+    assert np.abs(other[40 + 60 :] - held[60:]).max() < 1e-12
     # and depends on the order of values alone, not on the rate
     twice = shape.play(np.repeat(values, 2), np.zeros(2 * len(values)), 0.2)
     assert np.array_equal(twice[::2], held)

@@ -17,8 +17,9 @@ from puma_sim_core.loop.evidence import Scored
 from puma_sim_core.loop.prediction import Fitted, Point
 
 SCALE = 10.0
-WITH_COORDINATES = [name for name, kind in KINDS.items()
-                    if kind.screening is not None and kind.screening.coordinates is not None]
+WITH_COORDINATES = [
+    name for name, kind in KINDS.items() if kind.screening is not None and kind.screening.coordinates is not None
+]
 
 
 class Fit:
@@ -43,15 +44,15 @@ def price_of(text: str, spread: dict[str, float], others: int = 2) -> float:
     return prices.price(scored, Fit(), Fitted(point, np.zeros((1, 3)), 0.0, names, jacobian))
 
 
-@pytest.mark.parametrize("distance, deviation, left", [
-    (0.0, 1.0, 0.01), (0.7, 1.0, 0.3), (-2.0, 0.5, 0.4), (1.0, 0.2, 5.0)])
-def test_a_price_is_the_likelihood_at_its_best_over_its_mean_in_the_prior(distance, deviation,
-                                                                          left):
+@pytest.mark.parametrize(
+    "distance, deviation, left", [(0.0, 1.0, 0.01), (0.7, 1.0, 0.3), (-2.0, 0.5, 0.4), (1.0, 0.2, 5.0)]
+)
+def test_a_price_is_the_likelihood_at_its_best_over_its_mean_in_the_prior(distance, deviation, left):
     def integrand(x):
         return np.exp(-0.5 * ((x - distance) / left) ** 2) * norm.pdf(x, 0.0, deviation)
 
     mean, _ = quad(integrand, -12.0, 12.0, points=[0.0, distance], limit=400)
-    found = prices.gaussian(np.array([distance]), np.array([deviation]), np.array([[left ** 2]]))
+    found = prices.gaussian(np.array([distance]), np.array([deviation]), np.array([[left**2]]))
     assert found == pytest.approx(-np.log(mean), rel=1e-6)
 
 
@@ -61,8 +62,7 @@ def test_a_price_of_several_coefficients_is_that_of_all_together():
         root = rng.normal(size=(3, 3))
         covariance = root @ root.T + 0.01 * np.eye(3)
         deviation, distance = rng.uniform(0.1, 3.0, 3), rng.normal(size=3)
-        mean = multivariate_normal.logpdf(distance, np.zeros(3),
-                                          covariance + np.diag(deviation ** 2))
+        mean = multivariate_normal.logpdf(distance, np.zeros(3), covariance + np.diag(deviation**2))
         best = multivariate_normal.logpdf(np.zeros(3), np.zeros(3), covariance)
         assert prices.gaussian(distance, deviation, covariance) == pytest.approx(best - mean)
 
@@ -76,21 +76,24 @@ def test_what_a_log_says_nothing_of_costs_nothing():
 def test_a_shape_of_friction_costs_as_much_at_any_level():
     def more(level):
         one = price_of(f"coulomb_friction:joint=1,torque={level}", {"torque": 0.05 * level})
-        two = price_of(f"asymmetric_coulomb_friction:joint=1,positive={1.2 * level},"
-                       f"negative={0.8 * level}",
-                       {"positive": 0.05 * 2 ** 0.5 * level, "negative": 0.05 * 2 ** 0.5 * level})
+        two = price_of(
+            f"asymmetric_coulomb_friction:joint=1,positive={1.2 * level},negative={0.8 * level}",
+            {"positive": 0.05 * 2**0.5 * level, "negative": 0.05 * 2**0.5 * level},
+        )
         return two - one
 
     # a difference of levels of 0.2 of their mean, known to 0.05 of it, about 0 with 0.3
-    wanted = (0.5 * np.log1p((0.3 / 0.05) ** 2) + 0.5 * 0.2 ** 2 / (0.3 ** 2 + 0.05 ** 2))
+    wanted = 0.5 * np.log1p((0.3 / 0.05) ** 2) + 0.5 * 0.2**2 / (0.3**2 + 0.05**2)
     for level in (0.1, 1.0, 10.0):
         assert more(level) == pytest.approx(wanted, rel=1e-6)
 
 
 def test_a_bump_that_no_machine_has_costs_more_than_one_of_the_usual_size():
     def of(torque, velocity):
-        return price_of(f"stribeck_friction:joint=2,torque={torque},velocity={velocity},sliding=1",
-                        {"torque": 0.1, "velocity": 0.3 * velocity, "sliding": 0.1})
+        return price_of(
+            f"stribeck_friction:joint=2,torque={torque},velocity={velocity},sliding=1",
+            {"torque": 0.1, "velocity": 0.3 * velocity, "sliding": 0.1},
+        )
 
     usual = of(0.65, 0.045)
     assert of(0.0, 0.045) > usual + 1.5 and of(4.0, 0.045) > usual + 1.5
@@ -101,9 +104,13 @@ def test_a_bump_that_no_machine_has_costs_more_than_one_of_the_usual_size():
 
 
 def test_a_variation_over_the_position_costs_the_same_wherever_it_is_greatest():
-    found = [price_of(f"position_dependent_friction:joint=3,torque=2,amplitude=0.8,angle={angle}",
-                      {"torque": 0.1, "amplitude": 0.2, "angle": 0.25})
-             for angle in (-2.5, 0.0, 0.4, 3.0)]
+    found = [
+        price_of(
+            f"position_dependent_friction:joint=3,torque=2,amplitude=0.8,angle={angle}",
+            {"torque": 0.1, "amplitude": 0.2, "angle": 0.25},
+        )
+        for angle in (-2.5, 0.0, 0.4, 3.0)
+    ]
     assert found == pytest.approx([found[0]] * 4, rel=1e-5)
 
 
@@ -117,10 +124,7 @@ def test_coordinates_are_finite_wherever_the_parameters_are_legal(name):
         assert (table[:, 2] > 0.0).all()
 
 
-@pytest.mark.parametrize("screened, count, wanted", [
-    (-2.0, 2, 3.0), (4.0, 1, 4.0), (80.0, 1, 6.0), (80.0, 3, 18.0)])
-def test_a_price_is_that_of_the_screening_within_what_a_coefficient_can_cost(screened, count,
-                                                                             wanted):
-    scored = Scored("payload", None, 10.0, 10.0, None, None, None,
-                    {str(n): 1.0 for n in range(count)}, None, screened)
+@pytest.mark.parametrize("screened, count, wanted", [(-2.0, 2, 3.0), (4.0, 1, 4.0), (80.0, 1, 6.0), (80.0, 3, 18.0)])
+def test_a_price_is_that_of_the_screening_within_what_a_coefficient_can_cost(screened, count, wanted):
+    scored = Scored("payload", None, 10.0, 10.0, None, None, None, {str(n): 1.0 for n in range(count)}, None, screened)
     assert prices.screened(scored) == wanted

@@ -14,6 +14,9 @@ from dataclasses import replace
 import jsonschema
 import numpy as np
 import pytest
+from browser_support import CHROMIUM, browse, check_drawn, needs_chromium, outline_of
+from cli_support import contents
+from loop_support import EXPLANATIONS, HARD, faulty, named, nothing, one_joint, tied, unnamed
 
 from puma_sim_core import files
 from puma_sim_core.effects import KINDS
@@ -21,8 +24,7 @@ from puma_sim_core.errors import RecordingError
 from puma_sim_core.loop import output
 from puma_sim_core.loop.output import check_folder, write_explanation
 from puma_sim_core.loop.report_drawing import decades, thin, ticks
-from puma_sim_core.loop.report_figures import (_AGAINST, residual_against, residual_in_time,
-                                               whiteness)
+from puma_sim_core.loop.report_figures import _AGAINST, residual_against, residual_in_time, whiteness
 from puma_sim_core.loop.report_html import page
 from puma_sim_core.loop.report_json import report_text
 from puma_sim_core.loop.report_text import estimate, number, quantity
@@ -30,18 +32,16 @@ from puma_sim_core.loop.result import VERDICTS, Interval, NamedEffect
 from puma_sim_core.plant import load_model
 from puma_sim_core.resources import config_path
 
-from browser_support import CHROMIUM, browse, check_drawn, needs_chromium, outline_of
-from cli_support import contents
-from loop_support import EXPLANATIONS, HARD, faulty, named, nothing, one_joint, tied, unnamed
-
 COMMON = ("found", "errors", "residual", "ranking", "whiteness", "unseen", "logs")
-SECTIONS = {"named": (*COMMON, "feedback", "next", "parameters"),
-            "tied": (*COMMON, "feedback", "next", "parameters"),
-            "nothing": (*COMMON, "feedback", "next", "parameters"),
-            "remainder": (*COMMON, "shape", "feedback", "next", "parameters"),
-            "unnamed": (*COMMON, "shape", "feedback", "next", "parameters"),
-            "faulty": ("faults", "found", "logs"),
-            "one_joint": COMMON}
+SECTIONS = {
+    "named": (*COMMON, "feedback", "next", "parameters"),
+    "tied": (*COMMON, "feedback", "next", "parameters"),
+    "nothing": (*COMMON, "feedback", "next", "parameters"),
+    "remainder": (*COMMON, "shape", "feedback", "next", "parameters"),
+    "unnamed": (*COMMON, "shape", "feedback", "next", "parameters"),
+    "faulty": ("faults", "found", "logs"),
+    "one_joint": COMMON,
+}
 each_explanation = pytest.mark.parametrize("made", EXPLANATIONS.values(), ids=EXPLANATIONS)
 
 
@@ -56,6 +56,7 @@ def schema():
 def parsed(explanation) -> dict:
     def refuse(name):
         raise AssertionError(f"{name} is not JSON")
+
     return json.loads(report_text(explanation), parse_constant=refuse)
 
 
@@ -71,18 +72,22 @@ def test_json_keeps_its_schema(schema, made):
     schema.validate(parsed(made()))
 
 
-@pytest.mark.parametrize("change", [
-    lambda found: found.update(verdict="MAYBE"),
-    lambda found: found.update(verdict="NOTHING_MISSING"),
-    lambda found: found.update(verdict="UNNAMED", effects=[]),
-    lambda found: found.update(verdict="DATA_FAULT", effects=[]),
-    lambda found: found.pop("seed"),
-    lambda found: found.update(surprise=1),
-    lambda found: found["effects"][0].update(joint=0),
-    lambda found: found["effects"][0]["parameters"]["torque"].update(ci95=[1.0]),
-    lambda found: found["errors"].update(held_out=None),
-    lambda found: found["errors"]["fit"]["position_rms"].pop("floor"),
-    lambda found: found["detectability"][0].update(size="SMALL")])
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda found: found.update(verdict="MAYBE"),
+        lambda found: found.update(verdict="NOTHING_MISSING"),
+        lambda found: found.update(verdict="UNNAMED", effects=[]),
+        lambda found: found.update(verdict="DATA_FAULT", effects=[]),
+        lambda found: found.pop("seed"),
+        lambda found: found.update(surprise=1),
+        lambda found: found["effects"][0].update(joint=0),
+        lambda found: found["effects"][0]["parameters"]["torque"].update(ci95=[1.0]),
+        lambda found: found["errors"].update(held_out=None),
+        lambda found: found["errors"]["fit"]["position_rms"].pop("floor"),
+        lambda found: found["detectability"][0].update(size="SMALL"),
+    ],
+)
 def test_the_schema_refuses_what_the_report_does_not_promise(schema, change):
     found = parsed(named())
     change(found)
@@ -94,10 +99,12 @@ def test_every_number_of_the_schema_says_what_it_is(schema):
         if isinstance(node, dict):
             types = node.get("type", ())
             if {"number", "integer"} & set([types] if isinstance(types, str) else types) and (
-                    path[-1] not in ("items", "anyOf")):
+                path[-1] not in ("items", "anyOf")
+            ):
                 assert "description" in node, path
             for key, value in node.items():
                 check(value, (*path, key))
+
     for section in ("properties", "$defs"):
         check(schema.schema[section], (section,))
 
@@ -107,8 +114,7 @@ def test_json_holds_what_was_found_with_every_digit():
     found = parsed(e)
     (effect,) = found["effects"]
     assert (effect["name"], effect["joint"]) == ("coulomb_friction", 2)
-    assert effect["parameters"] == {"torque": {"value": 9.973, "ci95": [9.81, 10.14],
-                                               "unit": "N.m"}}
+    assert effect["parameters"] == {"torque": {"value": 9.973, "ci95": [9.81, 10.14], "unit": "N.m"}}
     assert [each["name"] for each in effect["ruled_out"]][:1] == ["asymmetric_coulomb_friction"]
     position = found["errors"]["held_out"]["position_rms"]
     assert position["augmented"] == e.errors["held_out"].position_rms.augmented.tolist()
@@ -131,8 +137,7 @@ def test_what_is_not_finite_is_null():
 def test_the_same_bytes_but_for_the_seconds(made):
     first, second = report_text(made()), report_text(replace(made(), seconds=123.456))
     assert report_text(made()) == first
-    differing = [pair for pair in zip(first.splitlines(), second.splitlines(), strict=True)
-                 if pair[0] != pair[1]]
+    differing = [pair for pair in zip(first.splitlines(), second.splitlines(), strict=True) if pair[0] != pair[1]]
     assert [pair[1] for pair in differing] == [' "seconds": 123.456,']
     assert page(made()) == page(made())
 
@@ -145,8 +150,7 @@ def test_page_stands_alone_and_has_its_sections(name):
     text = page(EXPLANATIONS[name]())
     outline = outline_of(text)
     assert len(outline.identifiers) == len(set(outline.identifiers))
-    assert set(SECTIONS[name]) == {each for each in outline.identifiers
-                                   if not re.search(r"-\d+$|^top$", each)}
+    assert set(SECTIONS[name]) == {each for each in outline.identifiers if not re.search(r"-\d+$|^top$", each)}
     for reference in outline.references:
         assert reference.startswith(("#", "data:")), reference
         if reference.startswith("#"):
@@ -168,8 +172,16 @@ def test_words_of_others_are_escaped():
 
 def test_the_top_says_what_how_sure_and_how_much():
     top = page(named()).split("<nav")[0]
-    for words in ("Coulomb friction on joint", "9.97", "9.81 to 10.14", "+1834 nat",
-                  "Error 21 times smaller", "14.7", "0.470", "[mrad]"):
+    for words in (
+        "Coulomb friction on joint",
+        "9.97",
+        "9.81 to 10.14",
+        "+1834 nat",
+        "Error 21 times smaller",
+        "14.7",
+        "0.470",
+        "[mrad]",
+    ):
         assert words in top
     assert "Tied with voltage dead-band" in page(tied()).split("<nav")[0]
     assert "position2, row 412" in page(faulty()).split("<nav")[0]
@@ -211,9 +223,16 @@ def test_each_kind_is_drawn_against_a_variable_that_matters(kind):
 
 def test_an_impulse_is_drawn_near_its_time():
     e = named()
-    effect = NamedEffect("impulse", 2, {"time": Interval(7.0, 6.9, 7.1, "s"),
-                                        "width": Interval(0.1, 0.08, 0.12, "s"),
-                                        "torque": Interval(80.0, 70.0, 90.0, "N.m")}, 50.0)
+    effect = NamedEffect(
+        "impulse",
+        2,
+        {
+            "time": Interval(7.0, 6.9, 7.1, "s"),
+            "width": Interval(0.1, 0.08, 0.12, "s"),
+            "torque": Interval(80.0, 70.0, 90.0, "N.m"),
+        },
+        50.0,
+    )
     (chart,) = residual_against(replace(e, effects=(effect,)))
     assert chart.x_range == pytest.approx((6.4, 7.6))
 
@@ -230,8 +249,7 @@ def test_friction_is_drawn_as_the_step_that_it_is():
 def test_held_out_rows_are_shaded_and_logs_stand_one_after_another():
     spans = residual_in_time(named())[0].layers[0]
     flag = np.asarray(named().drawn.held_out) > 0.5
-    inside = sum((named().drawn.time >= a) & (named().drawn.time <= b)
-                 for a, b in zip(spans.x, spans.y))
+    inside = sum((named().drawn.time >= a) & (named().drawn.time <= b) for a, b in zip(spans.x, spans.y))
     assert spans.kind == "spans" and np.array_equal(inside > 0, flag)
     chart = residual_in_time(one_joint())[0]
     line = chart.layers[1]
@@ -281,16 +299,25 @@ def test_thinning_keeps_ends_peaks_and_gaps():
     assert np.isnan(ty).any()
 
 
-@pytest.mark.parametrize("value, shown", [
-    (None, "\u2013"), (float("nan"), "\u2013"), (0.0, "0"), (-0.5, "\u22120.500"), (14.7, "14.7"),
-    (1834.2, "1834"), (2.5e-7, "2.50\u00d710<sup>\u22127</sup>"), (9.999, "10.0")])
+@pytest.mark.parametrize(
+    "value, shown",
+    [
+        (None, "\u2013"),
+        (float("nan"), "\u2013"),
+        (0.0, "0"),
+        (-0.5, "\u22120.500"),
+        (14.7, "14.7"),
+        (1834.2, "1834"),
+        (2.5e-7, "2.50\u00d710<sup>\u22127</sup>"),
+        (9.999, "10.0"),
+    ],
+)
 def test_numbers_read_well(value, shown):
     assert number(value) == shown
 
 
 def test_estimates_have_the_digits_that_their_intervals_deserve():
-    assert estimate(Interval(9.973, 9.81, 10.14, "N.m")) == ("9.97", "9.81 to 10.14",
-                                                             "N\N{MIDDLE DOT}m")
+    assert estimate(Interval(9.973, 9.81, 10.14, "N.m")) == ("9.97", "9.81 to 10.14", "N\N{MIDDLE DOT}m")
     assert estimate(Interval(8.1e-4, 7.6e-4, 8.6e-4, "rad")) == ("0.810", "0.760 to 0.860", "mrad")
     assert estimate(Interval(2.0, 1.0, np.inf, "1")) == ("2.00", "1.00 to no bound", "")
     assert quantity(1.5e-3, "s") == "1.50\N{NO-BREAK SPACE}ms"

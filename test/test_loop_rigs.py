@@ -19,8 +19,11 @@ from puma_sim_core.loop.ingest import read_log
 from puma_sim_core.simulator import Simulator
 
 DATA = os.environ.get("PUMA_SIM_DATA")
-pytestmark = [pytest.mark.skipif(DATA is None, reason="PUMA_SIM_DATA names no folder"),
-              pytest.mark.long, pytest.mark.timeout(1500)]
+pytestmark = [
+    pytest.mark.skipif(DATA is None, reason="PUMA_SIM_DATA names no folder"),
+    pytest.mark.long,
+    pytest.mark.timeout(1500),
+]
 
 PENDULUM = {"time": "t_s", "voltage1": "motor_V", "position1": "q_rad", "enable": "torque_enable"}
 EMPS = {"time": "t_s", "voltage1": "vir_V", "position1": "q_meas_m"}
@@ -44,14 +47,17 @@ def test_the_pendulum_lacks_friction_by_the_torque_that_its_gear_transmits():
     # of each trajectory one run at one gain of the controller, the other one kept back
     fitted = [runs[i] for i in (0, 2, 5, 7)]
     kept = [runs[i] for i in (1, 3, 4, 6)]
-    found = explain([str(path) for path in fitted], held_out=[str(path) for path in kept],
-                    plant="pendulum", columns=PENDULUM)
+    found = explain(
+        [str(path) for path in fitted], held_out=[str(path) for path in kept], plant="pendulum", columns=PENDULUM
+    )
     first = found.effects[0]
     assert (first.name, first.joint) == ("load_dependent_friction", 1)
     assert first.parameters["transmitted"].value == 1.0
     assert 0.4 < first.parameters["coefficient"].value < 0.65
-    for before_after, share in ((found.errors["held_out"].voltage_rms, 0.75),
-                                (found.errors["held_out"].position_rms, 0.5)):
+    for before_after, share in (
+        (found.errors["held_out"].voltage_rms, 0.75),
+        (found.errors["held_out"].position_rms, 0.5),
+    ):
         assert before_after.augmented[0] < share * before_after.retuned[0]
     errors = {path: free_run_error(found.model, path) for path in runs}
     assert np.mean([errors[path] for path in kept]) < 0.085 < VISCOUS_ONLY
@@ -62,7 +68,7 @@ def test_the_pendulum_lacks_friction_by_the_torque_that_its_gear_transmits():
 def test_emps_lacks_friction_that_differs_by_direction():
     path = Path(DATA, "emps", "emps_train.csv")
     found = explain(str(path), plant="slide", columns=EMPS)
-    effect, = found.effects
+    (effect,) = found.effects
     assert effect.name == "asymmetric_coulomb_friction"
     # published: 20.394 N and an offset of -3.165 N, which are 17.2 and 23.6 N
     for name, published in (("positive", 17.2), ("negative", 23.6)):

@@ -9,8 +9,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-
 from loop_logs import pieces, record
+
 from puma_sim_core.loop import explain
 from puma_sim_core.loop.prediction import Fitted, Point
 from puma_sim_core.loop.shape import Curve, again, noise, simplest_first
@@ -33,8 +33,9 @@ def commutation(t, simulator):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("volts, axis, way", [
-    (step, "time", "in one step"), (commutation, "motor_angle", "in proportion to the torque")])
+@pytest.mark.parametrize(
+    "volts, axis, way", [(step, "time", "in one step"), (commutation, "motor_angle", "in proportion to the torque")]
+)
 def test_the_joint_and_the_axis_of_what_has_no_name(volts, axis, way):
     found = explain(record(ARM, ARM.plant(), 0.05, 2e-5, seconds=6.0, unlogged=volts))
     assert found.shape is not None, found.sentence
@@ -66,8 +67,13 @@ def curve(joint, gain, knots):
 
 
 def test_of_curves_that_gain_nearly_the_same_the_simplest_stands_first():
-    many, few, lines, far, other = (curve(2, 1000.0, 20), curve(2, 980.0, 9), curve(2, 975.0, 2),
-                                    curve(2, 960.0, 1), curve(1, 990.0, 2))
+    many, few, lines, far, other = (
+        curve(2, 1000.0, 20),
+        curve(2, 980.0, 9),
+        curve(2, 975.0, 2),
+        curve(2, 960.0, 1),
+        curve(1, 990.0, 2),
+    )
     assert simplest_first([many, other, few, lines, far]) == [lines, many, other, few, far]
     assert simplest_first([few]) == [few] and simplest_first([]) == []
     # chance may leave no gain at all

@@ -31,8 +31,10 @@ def true_log(arm):
     """(log without noise, voltages that reached the motors) of the nominal arm in free motion."""
     rng = np.random.default_rng(5)
     time = np.arange(0.0, 6.0, STEP)
-    volts = sum(rng.uniform(2.0, 5.0, 3) * np.sin(rng.uniform(2.0, 9.0, 3) * time[:, None]
-                                                  + rng.uniform(0.0, 6.0, 3)) for _ in range(3))
+    volts = sum(
+        rng.uniform(2.0, 5.0, 3) * np.sin(rng.uniform(2.0, 9.0, 3) * time[:, None] + rng.uniform(0.0, 6.0, 3))
+        for _ in range(3)
+    )
     simulator = Simulator(arm.plant(arm.start))
     simulator.reset((0.1, -0.9, 1.1))
     run = simulator.run(time, volts)
@@ -45,8 +47,7 @@ def noisy(log, arm, volts, position, seed):
     simulator = Simulator(arm.plant(arm.start))
     simulator.reset(log.position[0])
     run = simulator.run(log.time, log.voltage + volts * rng.standard_normal(log.voltage.shape))
-    return Log("noisy", log.time, log.voltage,
-               run.position + position * rng.standard_normal(run.position.shape))
+    return Log("noisy", log.time, log.voltage, run.position + position * rng.standard_normal(run.position.shape))
 
 
 def nothing_held(time):
@@ -58,10 +59,9 @@ def test_the_filter_gives_derivatives_of_a_motion_and_its_lag():
     motion = np.sin(3.0 * time) + 2.0 * time
     exact = (motion, 3.0 * np.cos(3.0 * time) + 2.0, -9.0 * np.sin(3.0 * time))
     inside = slice(200, -200)
-    for found, wanted, bound in zip(filters.low_pass(motion, STEP, 50.0, (0, 1, 2)), exact,
-                                    (1e-9, 1e-7, 1e-5)):
+    for found, wanted, bound in zip(filters.low_pass(motion, STEP, 50.0, (0, 1, 2)), exact, (1e-9, 1e-7, 1e-5)):
         assert np.abs(found - wanted)[inside].max() < bound
-    lagged, = filters.low_pass(motion, STEP, 25.0, (0,), lag=0.003)
+    (lagged,) = filters.low_pass(motion, STEP, 25.0, (0,), lag=0.003)
     assert np.abs(lagged - motion - 0.003 * exact[1])[inside].max() < 1e-7
 
 
@@ -69,7 +69,7 @@ def test_the_filter_has_the_response_that_it_states():
     time = np.arange(0.0, 8.0, STEP)
     for frequency in (5.0, 20.0, 30.0):
         wave = np.sin(2.0 * np.pi * frequency * time)
-        found, = filters.low_pass(wave, STEP, 25.0)
+        (found,) = filters.low_pass(wave, STEP, 25.0)
         gain = found[1000:-1000] @ wave[1000:-1000] / (wave[1000:-1000] @ wave[1000:-1000])
         assert gain == pytest.approx(float(filters.response(frequency, 25.0)), abs=2e-3)
 
@@ -100,7 +100,7 @@ def test_sources_of_noise_are_told_apart_and_a_line_is_not_taken_for_noise(true_
     good = np.ones(len(kept), dtype=bool)
     stretches = [slice(0, len(kept))]
     weights = noise.fit_weights(source, s, white, good, stretches, budget)
-    expected = 0.05 ** 2 * source.covariances[0, 0]
+    expected = 0.05**2 * source.covariances[0, 0]
     assert weights @ source.covariances[:, 0] == pytest.approx(expected, rel=0.35)
     line = white + 0.2 * np.sin(2.0 * np.pi * 5.3 * s.time[kept])
     with_line = noise.fit_weights(source, s, line, good, stretches, budget)
@@ -124,15 +124,13 @@ def test_the_gain_of_evidence_is_that_of_two_normal_distributions():
 
     prior = np.array([1.0, 0.7, 2.0])
     base = Base([Plain()], y[:, None], N[:, None, :], prior)
-    before = np.eye(n) + N @ np.diag(prior ** 2) @ N.T
-    after = before + X @ np.diag(deviation ** 2) @ X.T
-    wanted = (multivariate_normal(X @ mean, after).logpdf(y)
-              - multivariate_normal(np.zeros(n), before).logpdf(y))
+    before = np.eye(n) + N @ np.diag(prior**2) @ N.T
+    after = before + X @ np.diag(deviation**2) @ X.T
+    wanted = multivariate_normal(X @ mean, after).logpdf(y) - multivariate_normal(np.zeros(n), before).logpdf(y)
     P = np.linalg.inv(before)
     gain, coefficients, _ = log_gain(X.T @ P @ X, X.T @ P @ y, mean, deviation)
     assert gain == pytest.approx(wanted, rel=1e-9)
-    assert base.log_evidence == pytest.approx(
-        multivariate_normal(np.zeros(n), before).logpdf(y), rel=1e-9)
+    assert base.log_evidence == pytest.approx(multivariate_normal(np.zeros(n), before).logpdf(y), rel=1e-9)
     assert coefficients == pytest.approx([0.6, -1.4], abs=0.5)
 
 
@@ -177,10 +175,22 @@ def test_a_fit_of_prediction_errors_finds_the_parameters_and_the_effect(true_log
     start = parse_effect("voltage_offset:joint=2,voltage=0.05")
     volts = true_log.voltage.copy()
     volts[:, 1] += 0.12
-    log = noisy(Log("offset", true_log.time, volts, true_log.position),
-                type("A", (), {"plant": lambda self, theta: arm.plant(
-                    arm.start, (parse_effect("voltage_offset:joint=2,voltage=0.12"),)),
-                    "start": arm.start})(), 0.05, 3e-5, 4)
+    log = noisy(
+        Log("offset", true_log.time, volts, true_log.position),
+        type(
+            "A",
+            (),
+            {
+                "plant": lambda self, theta: arm.plant(
+                    arm.start, (parse_effect("voltage_offset:joint=2,voltage=0.12"),)
+                ),
+                "start": arm.start,
+            },
+        )(),
+        0.05,
+        3e-5,
+        4,
+    )
     predictor = Predictor([log], arm, [nothing_held], np.full(3, 0.05), np.full(3, 3e-5))
     errors = predictor.errors(arm.plant(arm.start))
     fit = PredictionFit(predictor, predictor.white_weighting(errors))

@@ -6,10 +6,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.linalg import solve_discrete_lyapunov
-
 from loop_logs import SECONDS, STEP, record, validation
 from mechanism_support import NAMES
+from scipy.linalg import solve_discrete_lyapunov
+
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.loop.ingest import Log
 from puma_sim_core.loop.predictor import _settled, stable_step
@@ -48,8 +48,7 @@ def test_windows_cover_their_spans_and_take_turns():
                 assert 0.3 <= time[stop - 1] - time[first] <= 0.5
                 inside[first:stop] += 1
         lengths = seen.lengths(key)
-        assert lengths.sum() == inside.sum() and len(seen.window_errors(mechanism.plant(), key)
-                                                     ) == inside.sum()
+        assert lengths.sum() == inside.sum() and len(seen.window_errors(mechanism.plant(), key)) == inside.sum()
         # no row of the other kind, but where filtered rows meet; all of these, and most of them in
         # more than one window
         assert mask[inside > 0, 0].mean() > 0.98
@@ -66,7 +65,7 @@ def test_a_window_is_the_model_by_itself_from_its_start_on():
     before = sum(rows.stop - rows.start for _, rows in turn[:2])
     _, window = turn[2]
     rows = np.arange(window.start, window.stop)
-    errors = seen.window_errors(plant, "fit")[before:before + len(rows), 0]
+    errors = seen.window_errors(plant, "fit")[before : before + len(rows), 0]
     stretch = seen.predictor.stretches[0]
     closed = np.ones(len(stretch.time) - 1, dtype=bool)
     for _, other in turn:
@@ -75,13 +74,14 @@ def test_a_window_is_the_model_by_itself_from_its_start_on():
     # by hand: from the corrected state of the row before, by the simulator alone
     k = rows[0] - 1
     gain = seen.predictor.gain[0]
-    state = [tracked.position[k, 0] + gain[0] * tracked.innovation[k, 0],
-             tracked.velocity[k, 0] + gain[1] * tracked.innovation[k, 0]]
+    state = [
+        tracked.position[k, 0] + gain[0] * tracked.innovation[k, 0],
+        tracked.velocity[k, 0] + gain[1] * tracked.innovation[k, 0],
+    ]
     simulator = Simulator(plant, max_step=stable_step(plant, 1.2e-3))
     # its winding has no inductance, so that there is no more to the state
     simulator.reset([state[0]], [state[1]], [0.0], time=stretch.time[rows[0]])
-    run = simulator.run(stretch.time[rows[0]:rows[-1] + 2],
-                        stretch.voltage[rows[0]:rows[-1] + 2])
+    run = simulator.run(stretch.time[rows[0] : rows[-1] + 2], stretch.voltage[rows[0] : rows[-1] + 2])
     expected = stretch.position[rows + 1, 0] - run.position[1:, 0]
     assert np.abs(errors - expected).max() < 1e-9
 
@@ -138,11 +138,11 @@ def test_the_floor_is_what_a_true_model_reaches():
 def test_a_state_that_does_not_stay_finite_counts_as_far_off():
     mechanism = load_mechanism("pendulum")
     log = record(mechanism, mechanism.plant())
-    wild = Log("own", log.time, np.where(log.time[:, None] > 5.0, 1e300, log.voltage),
-               log.position)
+    wild = Log("own", log.time, np.where(log.time[:, None] > 5.0, 1e300, log.voltage), log.position)
     seen = validation(mechanism, log)
-    seen.predictor.stretches[0].voltage[2000:] = wild.voltage[2000:2000 + len(
-        seen.predictor.stretches[0].voltage) - 2000]
+    seen.predictor.stretches[0].voltage[2000:] = wild.voltage[
+        2000 : 2000 + len(seen.predictor.stretches[0].voltage) - 2000
+    ]
     assert 0.5 * FAR_OFF < rms(seen.window_errors(mechanism.plant(), "fit"))[0] <= FAR_OFF
 
 
@@ -154,9 +154,9 @@ def test_blocks_lie_where_rows_kept_back_are_like_the_others(height):
     assert problem.like(quiet) is problem
     blow = quiet.copy()
     centre = np.flatnonzero(problem.held)[3]
-    blow[centre - 1:centre + 2] = height
+    blow[centre - 1 : centre + 2] = height
     other = problem.like(blow)
-    assert other is not problem and not (other.held | other.guard)[centre - 1:centre + 2].any()
+    assert other is not problem and not (other.held | other.guard)[centre - 1 : centre + 2].any()
     assert abs(other.held.mean() - problem.held.mean()) < 0.05
     kept = Problem(problem.sampled, mechanism, (), hold_back=False)
     assert kept.like(blow) is kept

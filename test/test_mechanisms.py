@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
-
 from cli_support import call
 from mechanism_support import NAMES, pendulum, pendulum_mapping, signals_of
+from numpy.testing import assert_allclose
+
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.errors import ModelError, ParameterError, PumaSimError
 from puma_sim_core.files import yaml_text
@@ -22,8 +22,7 @@ from puma_sim_core.one_joint import OneJoint
 from puma_sim_core.plant import Plant, dump_model, load_model
 from puma_sim_core.recording import Recording, write_csv
 from puma_sim_core.resources import config_path
-from puma_sim_core.rigid_body import (arm_pseudo_inertias, arm_table, trace_coriolis,
-                                      trace_gravity, trace_inertia)
+from puma_sim_core.rigid_body import arm_pseudo_inertias, arm_table, trace_coriolis, trace_gravity, trace_inertia
 from puma_sim_core.simulator import Simulator
 
 RNG = np.random.default_rng(20)
@@ -53,8 +52,7 @@ def test_arm_torque_is_that_of_the_trace_form():
         D = trace_inertia(q[r], bodies, table)
         C = trace_coriolis(q[r], bodies, table)
         G = trace_gravity(q[r], bodies, table, given.gravity)
-        assert_allclose(torque[r], D @ qdd[r] + np.einsum("ijk,j,k->i", C, qd[r], qd[r]) + G,
-                        atol=1e-12)
+        assert_allclose(torque[r], D @ qdd[r] + np.einsum("ijk,j,k->i", C, qd[r], qd[r]) + G, atol=1e-12)
         assert_allclose(gravity[r], G, atol=1e-12)
         assert_allclose(matrix[r], D, atol=1e-12)
         assert_allclose(diagonal[r], np.diag(D), atol=1e-12)
@@ -97,14 +95,20 @@ def test_derivatives_are_those_of_differences(name):
             return (np.asarray(high) - np.asarray(low)) / (2.0 * step[n])
 
         for exact, function in (
-                (torque[:, :, n], lambda t: mechanism.total_torque(t, q, qd, qdd)),
-                (volts[:, :, n], lambda t: mechanism.model_voltage(t, q, qd, qdd)),
-                *((getattr(drive, key)[:, n], lambda t, key=key: getattr(mechanism.drive(t), key))
-                  for key in drive._fields)):
+            (torque[:, :, n], lambda t: mechanism.total_torque(t, q, qd, qdd)),
+            (volts[:, :, n], lambda t: mechanism.model_voltage(t, q, qd, qdd)),
+            *(
+                (getattr(drive, key)[:, n], lambda t, key=key: getattr(mechanism.drive(t), key))
+                for key in drive._fields
+            ),
+        ):
             # rounding of the differences: 1e-16 of the values over the step
-            assert_allclose(exact, slope(function), rtol=1e-7,
-                            atol=1e-10 * (1.0 + abs(np.asarray(function(theta))).max()
-                                          / abs(theta[n])))
+            assert_allclose(
+                exact,
+                slope(function),
+                rtol=1e-7,
+                atol=1e-10 * (1.0 + abs(np.asarray(function(theta))).max() / abs(theta[n])),
+            )
 
 
 def test_payload_torque_is_that_of_a_kilogram_more():
@@ -113,8 +117,7 @@ def test_payload_torque_is_that_of_a_kilogram_more():
         q, qd, qdd = motion(bare.joints, 8)
         load = (parse_effect(f"payload:mass=1,z={z}"),)
         loaded = bare.of_plant(bare.plant(bare.start, load))
-        difference = (loaded.torque(loaded.start, q, qd, qdd)
-                      - bare.torque(bare.start, q, qd, qdd))
+        difference = loaded.torque(loaded.start, q, qd, qdd) - bare.torque(bare.start, q, qd, qdd)
         assert_allclose(bare.payload_torque(bare.start, z, q, qd, qdd), difference, atol=1e-12)
 
 
@@ -141,16 +144,40 @@ def test_model_voltage_is_what_the_simulator_was_given(name, load):
     assert_allclose((motor + lag)[rows], held[rows], atol=2e-3 * size.max())
 
 
-@pytest.mark.parametrize("name, effects", [
-    ("puma560", ["coulomb_friction:joint=2,torque=9", "base_tilt:x=0.05,y=-0.02",
-                 "input_delay:time=0.004", "payload:mass=2"]),
-    ("puma560", ["presliding_friction:joint=3,torque=5", "supply_droop:coefficient=0.01",
-                 "torque_ripple:joint=1,amplitude=3,order=1",
-                 "voltage_dead_band:joint=2,voltage=0.4"]),
-    ("pendulum", ["load_dependent_friction:joint=1,coefficient=0.1",
-                  "resistance_drift:joint=1,share=0.3,time_constant=0.5"]),
-    ("slide", ["position_dependent_friction:joint=1,torque=15,amplitude=8",
-               "impulse:joint=1,torque=40,time=0.5,width=0.2"])])
+@pytest.mark.parametrize(
+    "name, effects",
+    [
+        (
+            "puma560",
+            [
+                "coulomb_friction:joint=2,torque=9",
+                "base_tilt:x=0.05,y=-0.02",
+                "input_delay:time=0.004",
+                "payload:mass=2",
+            ],
+        ),
+        (
+            "puma560",
+            [
+                "presliding_friction:joint=3,torque=5",
+                "supply_droop:coefficient=0.01",
+                "torque_ripple:joint=1,amplitude=3,order=1",
+                "voltage_dead_band:joint=2,voltage=0.4",
+            ],
+        ),
+        (
+            "pendulum",
+            ["load_dependent_friction:joint=1,coefficient=0.1", "resistance_drift:joint=1,share=0.3,time_constant=0.5"],
+        ),
+        (
+            "slide",
+            [
+                "position_dependent_friction:joint=1,torque=15,amplitude=8",
+                "impulse:joint=1,torque=40,time=0.5,width=0.2",
+            ],
+        ),
+    ],
+)
 def test_known_effects_account_for_the_voltage_that_they_take(name, effects):
     bare = load_mechanism(name)
     mechanism = bare.of_plant(bare.plant(None, map(parse_effect, effects)))
@@ -164,8 +191,7 @@ def test_known_effects_account_for_the_voltage_that_they_take(name, effects):
     signals = signals_of(mechanism, run, 0.5 * (voltage + np.roll(voltage, 1, axis=0)))
     drive = mechanism.drive(mechanism.start)
     torque = signals.torque
-    model = (drive.volts_per_torque * (torque + drive.lag * np.gradient(torque, time, axis=0))
-             + drive.emf * run.velocity)
+    model = drive.volts_per_torque * (torque + drive.lag * np.gradient(torque, time, axis=0)) + drive.emf * run.velocity
     known = known_voltage(mechanism, mechanism.start, signals)
     rows = slice(200, -2)
     before = np.abs(signals.voltage - model)[rows]
@@ -189,15 +215,16 @@ def test_the_mechanisms_of_the_house():
         assert (mechanism.deviations > 0.0).all()
         assert mechanism.plant() == mechanism.plant(mechanism.start)
     assert sizes["slide"].effort_unit == "N" and sizes["slide"].position_unit == "m"
-    assert [sizes["slide"].unit(u) for u in ("N.m", "rad", "N.m.s/rad", "V", "1")] == [
-        "N", "m", "N.s/m", "V", "1"]
+    assert [sizes["slide"].unit(u) for u in ("N.m", "rad", "N.m.s/rad", "V", "1")] == ["N", "m", "N.s/m", "V", "1"]
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_model_file_gives_the_plant_and_the_mechanism_back(name, tmp_path):
     mechanism = load_mechanism(name)
-    effects = [parse_effect("coulomb_friction:joint=1,torque=0.7"),
-               parse_effect("soft_stop:joint=1,stiffness=500,damping=2")]
+    effects = [
+        parse_effect("coulomb_friction:joint=1,torque=0.7"),
+        parse_effect("soft_stop:joint=1,stiffness=500,damping=2"),
+    ]
     theta = moved(mechanism)
     plant = mechanism.plant(theta, effects)
     path = tmp_path / "model.yaml"
@@ -238,23 +265,27 @@ def test_errors_of_a_file_name_key_and_expectation():
         def change(mapping):
             group, name = key.split(".")
             mapping[group][name] = {**mapping[group][name], **changes}
+
         return change
 
     for change, words in (
-            (lambda m: m.update(kind="rope"), ("kind: 'rope'", "pendulum or slide")),
-            (lambda m: m.pop("torque_scale"), ("torque_scale: missing",)),
-            (lambda m: m["body"].pop("mass"), ("body.mass: missing",)),
-            (lambda m: m["body"].update(colour=1), ("body.colour: unknown key", "mass, length")),
-            (lambda m: m["body"].update(mass=0.49), ("body.mass: 0.49 without a unit", "kg")),
-            (put("body.mass", unit="g"), ("body.mass.unit: unit 'g'", "expected kg")),
-            (put("body.length", value=-0.1), ("body.length.value: -0.1", "finite number")),
-            (put("drive.resistance", value=float("nan")), ("drive.resistance.value: nan",)),
-            (put("drive.resistance", known=True), ("relative_deviation and known", "one of")),
-            (put("drive.inductance", value=1e-5), ("time constant of 0.00304 ms", "negligible")),
-            (lambda m: m["drive"].update(amplifier="steam"), ("'steam'", "voltage or current")),
-            (lambda m: m["range"].update(value=[1.0, -1.0]), ("range.value: from 1 to -1",)),
-            (lambda m: m["drive"].update(gain={"value": 1.0, "unit": "N.m/A", "known": True}),
-             ("drive.gain: unknown key",))):
+        (lambda m: m.update(kind="rope"), ("kind: 'rope'", "pendulum or slide")),
+        (lambda m: m.pop("torque_scale"), ("torque_scale: missing",)),
+        (lambda m: m["body"].pop("mass"), ("body.mass: missing",)),
+        (lambda m: m["body"].update(colour=1), ("body.colour: unknown key", "mass, length")),
+        (lambda m: m["body"].update(mass=0.49), ("body.mass: 0.49 without a unit", "kg")),
+        (put("body.mass", unit="g"), ("body.mass.unit: unit 'g'", "expected kg")),
+        (put("body.length", value=-0.1), ("body.length.value: -0.1", "finite number")),
+        (put("drive.resistance", value=float("nan")), ("drive.resistance.value: nan",)),
+        (put("drive.resistance", known=True), ("relative_deviation and known", "one of")),
+        (put("drive.inductance", value=1e-5), ("time constant of 0.00304 ms", "negligible")),
+        (lambda m: m["drive"].update(amplifier="steam"), ("'steam'", "voltage or current")),
+        (lambda m: m["range"].update(value=[1.0, -1.0]), ("range.value: from 1 to -1",)),
+        (
+            lambda m: m["drive"].update(gain={"value": 1.0, "unit": "N.m/A", "known": True}),
+            ("drive.gain: unknown key",),
+        ),
+    ):
         text = broken(change)
         assert text.startswith("rig.yaml: "), text
         for word in words:
@@ -267,10 +298,11 @@ def test_errors_of_mechanism_and_model_files(tmp_path):
     path = tmp_path / "arm.yaml"
     text = Path(config_path("mechanisms", "puma560.yaml")).read_text()
     for old, new, words in (
-            ("mechanism 1", "mechanism 2", "format: 'puma-sim mechanism 2'"),
-            ("parameters: bejczy", "parameters: nobody", "no parameter set or file 'nobody'"),
-            ("[5.80, 9.50, 3.98]", "[5.80, 9.50]", "viscous_friction.value"),
-            ("  mass: {value: 0.06", "  mass: {value: 6.0", "from 0 to 1")):
+        ("mechanism 1", "mechanism 2", "format: 'puma-sim mechanism 2'"),
+        ("parameters: bejczy", "parameters: nobody", "no parameter set or file 'nobody'"),
+        ("[5.80, 9.50, 3.98]", "[5.80, 9.50]", "viscous_friction.value"),
+        ("  mass: {value: 0.06", "  mass: {value: 6.0", "from 0 to 1"),
+    ):
         path.write_text(text.replace(old, new))
         with pytest.raises(ParameterError, match="arm.yaml|nobody") as caught:
             load_mechanism(path)
@@ -288,8 +320,21 @@ def test_simulate_takes_a_model_of_one_joint(tmp_path, capsys):
     for name in ("pendulum", "slide"):
         model, out = tmp_path / f"{name}.yaml", tmp_path / f"{name}.csv"
         dump_model(load_mechanism(name).plant(), model)
-        assert call("simulate", volts, "--model", model, "--initial", "0.1", "--out", out,
-                    "--effect", "coulomb_friction:joint=1,torque=0.001") == 0
+        assert (
+            call(
+                "simulate",
+                volts,
+                "--model",
+                model,
+                "--initial",
+                "0.1",
+                "--out",
+                out,
+                "--effect",
+                "coulomb_friction:joint=1,torque=0.001",
+            )
+            == 0
+        )
         assert out.read_text().splitlines()[0] == "time,voltage1,position1,velocity1,current1"
         capsys.readouterr()
         assert call("simulate", out, "--model", model, "--restart", "0.2", "--out", "-") == 0

@@ -11,8 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from puma_sim_core.control.metrics import (effort, joint_step_quality, setpoint_step, step_quality,
-                                           tracking_error)
+from puma_sim_core.control.metrics import effort, joint_step_quality, setpoint_step, step_quality, tracking_error
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.recording import Recording
 
@@ -43,8 +42,9 @@ def test_a_second_order_response(zeta, band):
     last = TIME[np.flatnonzero(~inside)[-1]]
     assert last <= found.settling_time <= last + TIME[1]
     assert found.rise_time == pytest.approx(
-        np.interp(0.9, y[:y.argmax()], TIME[:y.argmax()])
-        - np.interp(0.1, y[:y.argmax()], TIME[:y.argmax()]), abs=1e-6)
+        np.interp(0.9, y[: y.argmax()], TIME[: y.argmax()]) - np.interp(0.1, y[: y.argmax()], TIME[: y.argmax()]),
+        abs=1e-6,
+    )
 
 
 def test_a_step_within_a_record_counts_from_where_it_is():
@@ -64,18 +64,21 @@ def test_responses_that_do_not_arrive_are_infinite():
     assert step_quality([0.0, 1.0, 2.0], [1.0, 1.0, 1.0], 0.0, 1.0) == (0.0, 0.0, 0.0)
 
 
-@pytest.mark.parametrize("arguments, options, message", [
-    (([0.0, 1.0], [0.0, 1.0], 1.0, 1.0), {}, "from 1 to 1: there is no step; expected a start and"),
-    (([0.0, 1.0], [0.0, 1.0], 0.0, 0.0), {}, "there is no step"),
-    (([0.0, 1.0], [0.0, 1.0], 1.0, 1.0 + 1e-15), {}, "there is no step"),
-    (([0.0, 1.0], [0.0, math.nan], 0.0, 1.0), {}, "values that are not finite"),
-    (([0.0, 1.0], [0.0, 1.0], 0.0, math.inf), {}, "values that are not finite"),
-    (([0.0, 0.0], [0.0, 1.0], 0.0, 1.0), {}, "increasing times"),
-    (([0.0], [0.0], 0.0, 1.0), {}, "increasing times"),
-    (([0.0, 1.0], [0.0, 1.0, 2.0], 0.0, 1.0), {}, "two equal"),
-    (([0.0, 1.0], [0.0, 1.0], 0.0, 1.0), {"at": 3.0}, "no samples after 3 s"),
-    (([0.0, 1.0], [0.0, 1.0], 0.0, 1.0), {"band": 0.0}, "band 0.0; expected between 0 and 1"),
-])
+@pytest.mark.parametrize(
+    "arguments, options, message",
+    [
+        (([0.0, 1.0], [0.0, 1.0], 1.0, 1.0), {}, "from 1 to 1: there is no step; expected a start and"),
+        (([0.0, 1.0], [0.0, 1.0], 0.0, 0.0), {}, "there is no step"),
+        (([0.0, 1.0], [0.0, 1.0], 1.0, 1.0 + 1e-15), {}, "there is no step"),
+        (([0.0, 1.0], [0.0, math.nan], 0.0, 1.0), {}, "values that are not finite"),
+        (([0.0, 1.0], [0.0, 1.0], 0.0, math.inf), {}, "values that are not finite"),
+        (([0.0, 0.0], [0.0, 1.0], 0.0, 1.0), {}, "increasing times"),
+        (([0.0], [0.0], 0.0, 1.0), {}, "increasing times"),
+        (([0.0, 1.0], [0.0, 1.0, 2.0], 0.0, 1.0), {}, "two equal"),
+        (([0.0, 1.0], [0.0, 1.0], 0.0, 1.0), {"at": 3.0}, "no samples after 3 s"),
+        (([0.0, 1.0], [0.0, 1.0], 0.0, 1.0), {"band": 0.0}, "band 0.0; expected between 0 and 1"),
+    ],
+)
 def test_ill_posed_steps_are_named(arguments, options, message):
     with pytest.raises(ParameterError, match=message):
         step_quality(*arguments, **options)
@@ -106,8 +109,10 @@ def test_the_step_of_a_setpoint_is_found():
 def test_tracking_errors_are_those_of_their_definition():
     rng = np.random.default_rng(1)
     position, path = rng.normal(size=(2, 5, 3))
-    for found in (tracking_error(recording(position=position, setpoint=path)),
-                  tracking_error(recording(position=position), path)):
+    for found in (
+        tracking_error(recording(position=position, setpoint=path)),
+        tracking_error(recording(position=position), path),
+    ):
         for j in range(3):
             errors = [p - r for p, r in zip(position[:, j], path[:, j])]
             assert found.rms[j] == pytest.approx(math.sqrt(math.fsum(e * e for e in errors) / 5))
@@ -126,7 +131,6 @@ def test_volts_count_for_as_long_as_they_are_held():
     assert effort(run, math.inf).saturated.tolist() == [0.0, 0.0, 0.0]
     # a converter of 3 bits ends a quarter below
     np.testing.assert_allclose(effort(run, 50.0, within=0.25).saturated, [0.75, 0.0, 1.0])
-    for bad, limit in ((recording(), 40.0), (Recording(time=np.zeros(1), voltage=volts[:1]), 40.0),
-                       (run, 0.0)):
+    for bad, limit in ((recording(), 40.0), (Recording(time=np.zeros(1), voltage=volts[:1]), 40.0), (run, 0.0)):
         with pytest.raises(ParameterError, match="effort"):
             effort(bad, limit)

@@ -5,11 +5,8 @@
 from __future__ import annotations
 
 import ast
-from email import message_from_string
-from email.utils import parseaddr
 import importlib
 import os
-from pathlib import Path
 import re
 import shutil
 import subprocess
@@ -17,6 +14,9 @@ import sys
 import tarfile
 import xml.etree.ElementTree as ElementTree
 import zipfile
+from email import message_from_string
+from email.utils import parseaddr
+from pathlib import Path
 
 import pytest
 import yaml
@@ -26,10 +26,13 @@ import puma_sim_core
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("puma_sim_core", "puma_sim_ros")
 SOURCES = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
-INSTALLED = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*"))
-             if path.is_file() and "__pycache__" not in path.parts]
-CONFIG_FILES = sorted(
-    path.relative_to(ROOT).as_posix() for path in (ROOT / "config").rglob("*") if path.is_file())
+INSTALLED = [
+    path
+    for package in PACKAGES
+    for path in sorted((ROOT / package).rglob("*"))
+    if path.is_file() and "__pycache__" not in path.parts
+]
+CONFIG_FILES = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "config").rglob("*") if path.is_file())
 
 #: the module that is imported, where it is not the name of its distribution
 MODULE_OF = {"pyyaml": "yaml", "pin": "pinocchio", "roboticstoolbox-python": "roboticstoolbox"}
@@ -57,8 +60,9 @@ def source_tree(tmp_path_factory):
 
 def build(kind: str, tree: Path, out: Path) -> Path:
     code = f"import sys; from setuptools import build_meta; build_meta.build_{kind}(sys.argv[1])"
-    done = subprocess.run([sys.executable, "-c", code, str(out)], cwd=tree, text=True,
-                          stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(out)], cwd=tree, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+    )
     assert done.returncode == 0, done.stdout
     (product,) = out.iterdir()
     return product
@@ -84,6 +88,7 @@ def entry_points(wheel):
 
 # -- files ----------------------------------------------------------------------------------------
 
+
 def test_every_configuration_file_is_in_the_wheel_as_package_data_and_in_share(wheel):
     names = wheel.namelist()
     assert CONFIG_FILES
@@ -96,15 +101,13 @@ def test_the_wheel_has_every_file_of_the_packages_and_what_ros_looks_for(wheel):
     names = wheel.namelist()
     for path in INSTALLED:
         assert path.relative_to(ROOT).as_posix() in names
-    for name in ("share/puma_sim_ros/package.xml",
-                 "share/ament_index/resource_index/packages/puma_sim_ros"):
+    for name in ("share/puma_sim_ros/package.xml", "share/ament_index/resource_index/packages/puma_sim_ros"):
         assert [n for n in names if n.endswith(f".data/data/{name}")], name
     # programs come from the entry points, so that pip puts them on PATH
     assert not [n for n in names if "/scripts/" in n or "/lib/" in n]
 
 
-def test_a_wheel_built_from_the_source_distribution_has_the_same_files(
-        source_tree, wheel, tmp_path):
+def test_a_wheel_built_from_the_source_distribution_has_the_same_files(source_tree, wheel, tmp_path):
     (tmp_path / "sdist").mkdir()
     (tmp_path / "wheel").mkdir()
     with tarfile.open(build("sdist", source_tree, tmp_path / "sdist")) as archive:
@@ -118,15 +121,23 @@ def test_a_wheel_built_from_the_source_distribution_has_the_same_files(
 
 def test_installed_modules_read_their_own_configuration_not_that_of_a_checkout(wheel, tmp_path):
     wheel.extractall(tmp_path)
-    code = ("from puma_sim_core.resources import config_path;"
-            "print(config_path('parameters', 'deeper', 'added_by_test.yaml'))")
-    found = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True, text=True,
-                           env={**os.environ, "PYTHONPATH": str(tmp_path)},
-                           stdout=subprocess.PIPE).stdout.strip()
+    code = (
+        "from puma_sim_core.resources import config_path;"
+        "print(config_path('parameters', 'deeper', 'added_by_test.yaml'))"
+    )
+    found = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        check=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+        stdout=subprocess.PIPE,
+    ).stdout.strip()
     assert Path(found).is_relative_to(tmp_path)
 
 
 # -- metadata -------------------------------------------------------------------------------------
+
 
 def test_package_xml_is_valid():
     packages = pytest.importorskip("catkin_pkg.package")
@@ -144,8 +155,7 @@ def test_names_and_versions_agree(metadata):
     assert re.fullmatch(r"\d+\.\d+\.\d+", version)
     assert metadata["Version"] == version
     assert package_xml().findtext("version") == version
-    assert re.search(r"^## (\d+\.\d+\.\d+)", (ROOT / "CHANGELOG.md").read_text(),
-                     re.MULTILINE).group(1) == version
+    assert re.search(r"^## (\d+\.\d+\.\d+)", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE).group(1) == version
     assert yaml.safe_load((ROOT / "CITATION.cff").read_text())["version"] == version
     assert metadata["Name"].replace("-", "_") == package_xml().findtext("name")
 
@@ -160,8 +170,9 @@ def test_the_licence_agrees_everywhere(metadata):
     assert package_xml().find("license").get("file") == "LICENSE"
 
 
-@pytest.mark.parametrize("path", [*SOURCES, *sorted((ROOT / "test").rglob("*.py"))],
-                         ids=lambda path: path.relative_to(ROOT).as_posix())
+@pytest.mark.parametrize(
+    "path", [*SOURCES, *sorted((ROOT / "test").rglob("*.py"))], ids=lambda path: path.relative_to(ROOT).as_posix()
+)
 def test_each_source_file_names_licence_and_copyright(path):
     head = path.read_text(encoding="utf-8").split("\n")[:4]
     assert "# SPDX-License-Identifier: Apache-2.0" in head
@@ -179,6 +190,7 @@ def test_the_maintainer_is_one_address_that_parses(metadata):
 
 
 # -- programs and dependencies --------------------------------------------------------------------
+
 
 @pytest.mark.parametrize("program", ["puma-sim", "sim_node", "external_controller"])
 def test_each_program_leads_to_a_function(entry_points, program):
@@ -233,8 +245,8 @@ def test_what_apt_and_rosdep_can_install_is_in_package_xml(metadata):
 
 # -- what a newcomer is told ----------------------------------------------------------------------
 
-@pytest.mark.parametrize(
-    "command", ["make run", "make test", "colcon build", "ros2 run puma_sim_ros sim_node"])
+
+@pytest.mark.parametrize("command", ["make run", "make test", "colcon build", "ros2 run puma_sim_ros sim_node"])
 def test_the_readme_shows(command):
     assert command in (ROOT / "README.md").read_text()
 

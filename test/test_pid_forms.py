@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from arm_reference import bits, plant_of
 
-from puma_sim_core.control.pid import (Pid, PidGains, gains_of_recursive, recursive_coefficients)
+from puma_sim_core.control.pid import Pid, PidGains, gains_of_recursive, recursive_coefficients
 from puma_sim_core.control.servo import ServoConfig
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.session import Session, SessionConfig
@@ -22,8 +22,7 @@ START = (0.1, -0.4, 0.7)
 
 
 def outputs(pid, setpoint, measurement):
-    return np.array([pid.update(k * H, (r,), (y,))[0]
-                     for k, (r, y) in enumerate(zip(setpoint, measurement))])
+    return np.array([pid.update(k * H, (r,), (y,))[0] for k, (r, y) in enumerate(zip(setpoint, measurement))])
 
 
 def random_signals(rows=200, seed=4):
@@ -44,8 +43,9 @@ def test_velocity_form_is_the_recursion_of_equation_7_3():
 
 
 @pytest.mark.parametrize("on_measurement", [False, True])
-@pytest.mark.parametrize("gains", [GAINS, PidGains(50.0), PidGains(50.0, inf, 0.03),
-                                   PidGains(50.0, 0.1)], ids=["PID", "P", "PD", "PI"])
+@pytest.mark.parametrize(
+    "gains", [GAINS, PidGains(50.0), PidGains(50.0, inf, 0.03), PidGains(50.0, 0.1)], ids=["PID", "P", "PD", "PI"]
+)
 def test_without_limits_the_forms_differ_by_the_newest_term_of_the_sum(gains, on_measurement):
     setpoint, measurement = random_signals()
     options = dict(on_measurement=on_measurement)
@@ -137,7 +137,7 @@ def test_servo_is_the_python_law_with_its_answers_late(delay, anti_windup):
     record = servo_run(servo, voltage_limit=8.0)
     pid = Pid(servo.gains, H, limit=8.0, on_measurement=True, anti_windup=anti_windup)
     asked = [pid.update(0.0, r, y) for r, y in zip(record.setpoint[:-1], record.position[:-1])]
-    expected = np.vstack([np.zeros((delay, 3)), asked])[:len(asked)]
+    expected = np.vstack([np.zeros((delay, 3)), asked])[: len(asked)]
     np.testing.assert_allclose(record.voltage[:-1], expected, rtol=0, atol=1e-9)
     assert np.abs(record.voltage).max() == 8.0
 
@@ -162,8 +162,7 @@ def test_samples_longer_than_a_step_are_integrated_in_steps():
 
 def test_a_session_with_a_delay_is_the_same_servo():
     servo = ServoConfig(delay_samples=7, anti_windup=False)
-    config = SessionConfig(plant=plant_of(), command_interface="position", servo=servo,
-                           initial_position=START)
+    config = SessionConfig(plant=plant_of(), command_interface="position", servo=servo, initial_position=START)
     assert SessionConfig.from_mapping(config.to_mapping()) == config
     session, simulator = Session(config), Simulator(plant_of())
     simulator.reset(START)

@@ -18,9 +18,17 @@ from hypothesis import strategies as st
 from puma_sim_core import printed_coefficients as printed
 from puma_sim_core.kinematics import dh_table, dh_transform
 from puma_sim_core.parameters import Link, load_parameters, parameter_sets
-from puma_sim_core.rigid_body import (arm_pseudo_inertias, arm_table, coriolis, gravity_torque,
-                                      inertia, lumped_constants, trace_coriolis, trace_gravity,
-                                      trace_inertia)
+from puma_sim_core.rigid_body import (
+    arm_pseudo_inertias,
+    arm_table,
+    coriolis,
+    gravity_torque,
+    inertia,
+    lumped_constants,
+    trace_coriolis,
+    trace_gravity,
+    trace_inertia,
+)
 
 angles = st.tuples(*[st.floats(-math.pi, math.pi) for _ in range(3)]).map(np.array)
 rates = st.tuples(*[st.floats(-3, 3) for _ in range(3)]).map(np.array)
@@ -33,8 +41,7 @@ def arm_of(name):
         return load_parameters(name)
     arm = load_parameters("bejczy")
     products = ((0.02, -0.01, 0.03), (-0.05, 0.04, 0.06), (0.01, 0.02, -0.03))
-    return replace(arm, links=tuple(replace(link, products=p)
-                                    for link, p in zip(arm.links, products)))
+    return replace(arm, links=tuple(replace(link, products=p) for link, p in zip(arm.links, products)))
 
 
 def random_poses(count, seed=1):
@@ -49,10 +56,11 @@ def test_closed_form_equals_trace_form(name):
     arm = arm_of(name)
     bodies, table = arm_pseudo_inertias(arm), arm_table(arm)
     for q in random_poses(100):
-        for closed, trace in ((inertia(q, arm), trace_inertia(q, bodies, table)),
-                              (coriolis(q, arm), trace_coriolis(q, bodies, table)),
-                              (gravity_torque(q, arm),
-                               trace_gravity(q, bodies, table, arm.gravity))):
+        for closed, trace in (
+            (inertia(q, arm), trace_inertia(q, bodies, table)),
+            (coriolis(q, arm), trace_coriolis(q, bodies, table)),
+            (gravity_torque(q, arm), trace_gravity(q, bodies, table, arm.gravity)),
+        ):
             np.testing.assert_allclose(closed, trace, rtol=0, atol=1e-12)
 
 
@@ -68,35 +76,57 @@ def test_closed_form_without_products_is_the_corrected_print_of_chapter_4(name):
     for q in random_poses(50, seed=2):
         s2, c2, s3, c3 = (f(angle) for angle in q[1:] for f in (math.sin, math.cos))
         s23, c23 = math.sin(q[1] + q[2]), math.cos(q[1] + q[2])
-        d11 = (m1 * k1yy + m2 * (k2xx * s2**2 + k2yy * c2**2 + (a2**2 + 2 * a2 * x2) * c2**2
-                                 - 2 * a2 * y2 * s2 * c2)
-               + m3 * (k3xx * s23**2 + k3zz * c23**2 + d3**2 + 2 * y3 * d3 + a2**2 * c2**2
-                       + a3**2 * c23**2 + 2 * a2 * a3 * c2 * c23
-                       + 2 * x3 * (a2 * c2 * c23 + a3 * c23**2)
-                       + 2 * z3 * (a3 * c23 * s23 + a2 * c2 * s23)))
+        d11 = (
+            m1 * k1yy
+            + m2 * (k2xx * s2**2 + k2yy * c2**2 + (a2**2 + 2 * a2 * x2) * c2**2 - 2 * a2 * y2 * s2 * c2)
+            + m3
+            * (
+                k3xx * s23**2
+                + k3zz * c23**2
+                + d3**2
+                + 2 * y3 * d3
+                + a2**2 * c2**2
+                + a3**2 * c23**2
+                + 2 * a2 * a3 * c2 * c23
+                + 2 * x3 * (a2 * c2 * c23 + a3 * c23**2)
+                + 2 * z3 * (a3 * c23 * s23 + a2 * c2 * s23)
+            )
+        )
         d13 = m3 * ((d3 * x3 + a3 * y3 + a3 * d3) * s23 - d3 * z3 * c23)
         d12 = m2 * a2 * z2 * s2 + m3 * a2 * (y3 + d3) * s2 + d13
         d33 = m3 * (k3yy + a3**2 + 2 * a3 * x3)
         h = m3 * a2 * ((a3 + x3) * c3 + z3 * s3)
         d22 = m2 * (k2zz + a2**2 + 2 * a2 * x2) + m3 * a2**2 + d33 + 2 * h
-        c113 = m3 * ((k3xx - k3zz - a3**2 - 2 * a3 * x3) * s23 * c23 - a2 * (a3 + x3) * c2 * s23
-                     + a3 * z3 * (2 * c23**2 - 1) + a2 * z3 * c2 * c23)
-        c112 = (m2 * ((k2xx - k2yy - a2**2 - 2 * a2 * x2) * s2 * c2
-                      - a2 * y2 * math.cos(2 * q[1]))
-                - m3 * a2**2 * s2 * c2 + c113 - m3 * a2 * ((a3 + x3) * s2 * c23 + z3 * s2 * s23))
+        c113 = m3 * (
+            (k3xx - k3zz - a3**2 - 2 * a3 * x3) * s23 * c23
+            - a2 * (a3 + x3) * c2 * s23
+            + a3 * z3 * (2 * c23**2 - 1)
+            + a2 * z3 * c2 * c23
+        )
+        c112 = (
+            m2 * ((k2xx - k2yy - a2**2 - 2 * a2 * x2) * s2 * c2 - a2 * y2 * math.cos(2 * q[1]))
+            - m3 * a2**2 * s2 * c2
+            + c113
+            - m3 * a2 * ((a3 + x3) * s2 * c23 + z3 * s2 * s23)
+        )
         e = m3 * ((d3 * x3 + a3 * y3 + a3 * d3) * c23 + d3 * z3 * s23)
         c122 = m2 * a2 * z2 * c2 + m3 * a2 * (y3 + d3) * c2 + e
         c223 = m3 * a2 * (z3 * c3 - (a3 + x3) * s3)
         g3 = -m3 * g * ((x3 + a3) * c23 + z3 * s23)
         g2 = -m2 * g * ((x2 + a2) * c2 - y2 * s2) - m3 * g * a2 * c2 + g3
         np.testing.assert_allclose(
-            inertia(q, arm), [[d11, d12, d13], [d12, d22, d33 + h], [d13, d33 + h, d33]],
-            rtol=0, atol=1e-13)
+            inertia(q, arm), [[d11, d12, d13], [d12, d22, d33 + h], [d13, d33 + h, d33]], rtol=0, atol=1e-13
+        )
         np.testing.assert_allclose(
             coriolis(q, arm),
-            [[[0, c112, c113], [c112, c122, e], [c113, e, e]],
-             [[-c112, 0, 0], [0, 0, c223], [0, c223, c223]],
-             [[-c113, 0, 0], [0, -c223, 0], [0, 0, 0]]], rtol=0, atol=1e-13)
+            [
+                [[0, c112, c113], [c112, c122, e], [c113, e, e]],
+                [[-c112, 0, 0], [0, 0, c223], [0, c223, c223]],
+                [[-c113, 0, 0], [0, -c223, 0], [0, 0, 0]],
+            ],
+            rtol=0,
+            atol=1e-13,
+        )
         np.testing.assert_allclose(gravity_torque(q, arm), [0, g2, g3], rtol=0, atol=1e-12)
 
 
@@ -118,8 +148,15 @@ def mujoco_chain(table, bodies, armature, gravity):
     for i, row in enumerate(table):
         quaternion = np.empty(4)
         mujoco.mju_mat2Quat(quaternion, frame[:3, :3].ravel())
-        parent = parent.add_body(name=f"link{i + 1}", pos=frame[:3, 3], quat=quaternion, mass=1,
-                                 inertia=[1, 1, 1], ipos=[0, 0, 0], explicitinertial=True)
+        parent = parent.add_body(
+            name=f"link{i + 1}",
+            pos=frame[:3, 3],
+            quat=quaternion,
+            mass=1,
+            inertia=[1, 1, 1],
+            ipos=[0, 0, 0],
+            explicitinertial=True,
+        )
         parent.add_joint(type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
         frame = dh_transform(0.0, *row)
         distal.append(frame)
@@ -140,6 +177,7 @@ def mujoco_chain(table, bodies, armature, gravity):
 def mujoco_terms(model, data, q, qd):
     """D + armature, C(qd, qd) + G, and G, by MuJoCo."""
     import mujoco
+
     data.qpos[:], data.qvel[:] = q, qd
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
@@ -157,6 +195,7 @@ def mujoco_terms(model, data, q, qd):
 def full_inertia(model, data):
     """Dense mass matrix, column by column, which every version of MuJoCo can multiply."""
     import mujoco
+
     columns = np.empty((model.nv, model.nv))
     for j, unit in enumerate(np.eye(model.nv)):
         mujoco.mj_mulM(model, data, columns[j], unit)
@@ -175,10 +214,8 @@ def assert_same_dynamics(arm, model, data, shift=0.0, count=40):
     for _ in range(count):
         q, qd = rng.uniform(-math.pi, math.pi, 3), rng.uniform(-3, 3, 3)
         mass, bias, still = mujoco_terms(model, data, q - shift, qd)
-        np.testing.assert_allclose(inertia(q, arm) + np.diag(arm.motor_inertia), mass,
-                                   rtol=0, atol=1e-12)
-        np.testing.assert_allclose(np.einsum("ijk,j,k->i", coriolis(q, arm), qd, qd),
-                                   bias - still, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(inertia(q, arm) + np.diag(arm.motor_inertia), mass, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(np.einsum("ijk,j,k->i", coriolis(q, arm), qd, qd), bias - still, rtol=0, atol=1e-12)
         np.testing.assert_allclose(gravity_torque(q, arm), still, rtol=0, atol=1e-12)
 
 
@@ -186,20 +223,22 @@ def assert_same_dynamics(arm, model, data, shift=0.0, count=40):
 def test_agrees_with_mujoco(name):
     arm = arm_of(name)
     bodies = [(link.mass, np.array(link.centre), central_inertia(link)) for link in arm.links]
-    assert_same_dynamics(arm, *mujoco_chain(dh_table(arm)[:3], bodies, arm.motor_inertia,
-                                            arm.gravity))
+    assert_same_dynamics(arm, *mujoco_chain(dh_table(arm)[:3], bodies, arm.motor_inertia, arm.gravity))
 
 
 def test_corke_armstrong_agrees_with_mujoco_in_the_frames_of_the_source():
     # built from the published numbers alone; our angles are the source's plus half a turn
     half = math.pi / 2
     table = [(0.0, half, 0.0), (0.4318, 0.0, 0.0), (0.0203, -half, 0.15005)]
-    bodies = [(0.0, np.zeros(3), np.diag([0.0, 0.35, 0.0])),
-              (17.4, np.array([-0.3638, 0.006, 0.2275]), np.diag([0.13, 0.524, 0.539])),
-              (4.8, np.array([-0.0203, -0.0141, 0.070]), np.diag([0.066, 0.086, 0.0125]))]
+    bodies = [
+        (0.0, np.zeros(3), np.diag([0.0, 0.35, 0.0])),
+        (17.4, np.array([-0.3638, 0.006, 0.2275]), np.diag([0.13, 0.524, 0.539])),
+        (4.8, np.array([-0.0203, -0.0141, 0.070]), np.diag([0.066, 0.086, 0.0125])),
+    ]
     armature = 200e-6 * np.array([-62.6111, 107.815, -53.7063]) ** 2
-    assert_same_dynamics(load_parameters("corke_armstrong_1994"),
-                         *mujoco_chain(table, bodies, armature, 9.81), shift=math.pi)
+    assert_same_dynamics(
+        load_parameters("corke_armstrong_1994"), *mujoco_chain(table, bodies, armature, 9.81), shift=math.pi
+    )
 
 
 def test_trace_form_of_six_links_agrees_with_mujoco():
@@ -217,8 +256,8 @@ def test_trace_form_of_six_links_agrees_with_mujoco():
         mass, bias, still = mujoco_terms(model, data, q, qd)
         np.testing.assert_allclose(trace_inertia(q, links, table), mass, rtol=0, atol=1e-12)
         np.testing.assert_allclose(
-            np.einsum("ijk,j,k->i", trace_coriolis(q, links, table), qd, qd), bias - still,
-            rtol=0, atol=1e-11)
+            np.einsum("ijk,j,k->i", trace_coriolis(q, links, table), qd, qd), bias - still, rtol=0, atol=1e-11
+        )
         np.testing.assert_allclose(trace_gravity(q, links, table), still, rtol=0, atol=1e-11)
 
 
@@ -230,9 +269,12 @@ def link_of_points(points, weights):
     def mean(values):
         return float(weights @ values / mass)
 
-    return Link(float(mass), (mean(x), mean(y), mean(z)),
-                (mean(y * y + z * z), mean(x * x + z * z), mean(x * x + y * y)),
-                (mean(x * y), mean(y * z), mean(x * z)))
+    return Link(
+        float(mass),
+        (mean(x), mean(y), mean(z)),
+        (mean(y * y + z * z), mean(x * x + z * z), mean(x * x + y * y)),
+        (mean(x * y), mean(y * z), mean(x * z)),
+    )
 
 
 # ----------------------------------------------------------------------------------- properties
@@ -258,8 +300,7 @@ def test_coriolis_are_the_christoffel_symbols_of_the_inertia(name, q):
     step = 1e-40
     slope = np.array([inertia(q + 1j * step * unit, arm).imag / step for unit in np.eye(3)])
     # slope[k, i, j] = dD_ij / dq_k
-    expected = (np.einsum("kij->ijk", slope) + np.einsum("jik->ijk", slope)
-                - slope) / 2
+    expected = (np.einsum("kij->ijk", slope) + np.einsum("jik->ijk", slope) - slope) / 2
     np.testing.assert_allclose(coriolis(q, arm), expected, rtol=0, atol=1e-12)
     c = coriolis(q, arm)
     assert np.array_equal(c, c.transpose(0, 2, 1))
@@ -308,18 +349,24 @@ def test_lumped_constants_hold_the_motor_inertias(name):
 # --------------------------------------------------------------------------------- regression
 
 
-@pytest.mark.parametrize("pose, diagonal", [
-    ((0, -90, 90), (2.4976, 6.3279, 1.1295)),
-    ((0, 0, 90), (6.0466, 6.3279, 1.1295)),
-    ((0, 0, 0), (4.5652, 5.3786, 1.1295))], ids=["upright", "horizontal", "zero"])
+@pytest.mark.parametrize(
+    "pose, diagonal",
+    [
+        ((0, -90, 90), (2.4976, 6.3279, 1.1295)),
+        ((0, 0, 90), (6.0466, 6.3279, 1.1295)),
+        ((0, 0, 0), (4.5652, 5.3786, 1.1295)),
+    ],
+    ids=["upright", "horizontal", "zero"],
+)
 def test_inertia_of_named_poses(pose, diagonal):
     arm = load_parameters("bejczy")
     result = np.diag(inertia(np.radians(pose), arm)) + arm.motor_inertia
     np.testing.assert_allclose(result, diagonal, rtol=0, atol=6e-5)
 
 
-@pytest.mark.parametrize("pose, joint, torque", [
-    ((0, 0, 90), 2, 62.52), ((0, 0, 90), 3, 10.41)], ids=["joint 2 extended", "joint 3"])
+@pytest.mark.parametrize(
+    "pose, joint, torque", [((0, 0, 90), 2, 62.52), ((0, 0, 90), 3, 10.41)], ids=["joint 2 extended", "joint 3"]
+)
 def test_greatest_gravity_torques(pose, joint, torque):
     result = gravity_torque(np.radians(pose), load_parameters("bejczy"))
     # "extended" is the horizontal pose: its torque is the greatest to three digits
@@ -360,8 +407,11 @@ def test_lowest_eigenvalue_of_the_rigid_links():
 def coefficient_errors(name, corrected):
     """Greatest difference from the closed form of each coefficient that section 4.5 prints."""
     arm, poses = load_parameters(name), random_poses(500, seed=4)
-    terms = {"D": inertia(poses, arm) + np.diag(arm.motor_inertia),
-             "C": coriolis(poses, arm), "G": gravity_torque(poses, arm)}
+    terms = {
+        "D": inertia(poses, arm) + np.diag(arm.motor_inertia),
+        "C": coriolis(poses, arm),
+        "G": gravity_torque(poses, arm),
+    }
     errors = {}
     for key in printed.COEFFICIENTS:
         index = tuple(int(digit) - 1 for digit in key[1:])
@@ -390,6 +440,5 @@ def test_printed_coefficients_are_wrong_where_the_errata_say_so():
 def test_printed_d22_took_a3_with_the_wrong_sign():
     arm = load_parameters("bejczy")
     link3 = arm.links[2]
-    constant = (lumped_constants(arm).E3 - arm.motors[1].inertia
-                - 4 * link3.mass * arm.a3 * link3.centre[0])
+    constant = lumped_constants(arm).E3 - arm.motors[1].inertia - 4 * link3.mass * arm.a3 * link3.centre[0]
     assert abs(constant - 3.05737) < 5e-6

@@ -11,11 +11,11 @@ import yaml
 
 pytest.importorskip("rclpy")
 
-from ros_support import Node, Peer, Program, run_program  # noqa: E402
+from ros_support import Node, Peer, Program, run_program
 
-from puma_sim_core.bag import BagRecorder, read_bag  # noqa: E402
-from puma_sim_core.plant import Plant  # noqa: E402
-from puma_sim_core.session import Session, SessionConfig  # noqa: E402
+from puma_sim_core.bag import BagRecorder, read_bag
+from puma_sim_core.plant import Plant
+from puma_sim_core.session import Session, SessionConfig
 
 STEPS = 30
 
@@ -27,9 +27,16 @@ def recorded(tmp_path, request):
     config = SessionConfig(Plant.of("bejczy"))
     session = Session(config)
     bag = tmp_path / "recorded"
-    with BagRecorder(bag, namespace=namespace, config_text=yaml.safe_dump(config.to_mapping()),
-                     urdf="<robot/>", joint_names=config.joint_names, frame_id=config.frame_id,
-                     command_interface="voltage", period_ns=config.period_ns) as recorder:
+    with BagRecorder(
+        bag,
+        namespace=namespace,
+        config_text=yaml.safe_dump(config.to_mapping()),
+        urdf="<robot/>",
+        joint_names=config.joint_names,
+        frame_id=config.frame_id,
+        command_interface="voltage",
+        period_ns=config.period_ns,
+    ) as recorder:
         recorder.write_state(session.state)
         for step in range(STEPS):
             command = session.command((0.5 * step, -0.3 * step, 10.0))
@@ -42,12 +49,21 @@ def test_a_viewer_gets_all_that_was_recorded(recorded):
     namespace, bag = recorded
     commands = []
     with Peer(namespace) as peer:
-        peer.node.create_subscription(peer.commands.msg_type, "voltage_controller/commands",
-                                      lambda message: commands.append(tuple(message.data)), 100)
+        peer.node.create_subscription(
+            peer.commands.msg_type,
+            "voltage_controller/commands",
+            lambda message: commands.append(tuple(message.data)),
+            100,
+        )
         with Program("puma_sim_ros.bag_publisher", str(bag), "--rate", "2.0") as publisher:
-            peer.wait_for(lambda: len(peer.states) == STEPS + 1 and len(commands) == STEPS
-                          and len(peer.voltages) == len(peer.currents) == STEPS + 1,
-                          "all messages")
+            peer.wait_for(
+                lambda: (
+                    len(peer.states) == STEPS + 1
+                    and len(commands) == STEPS
+                    and len(peer.voltages) == len(peer.currents) == STEPS + 1
+                ),
+                "all messages",
+            )
             publisher.wait()
     contents = read_bag(bag)
     assert [list(state.position) for state in peer.states] == contents.position.tolist()

@@ -10,19 +10,21 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from ros_support import Node, Peer  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticArray
+from ros_support import Node, Peer
+from sensor_msgs.msg import JointState
 
-from puma_sim_core.plant import Plant  # noqa: E402
-from puma_sim_core.session import Session, SessionConfig  # noqa: E402
+from puma_sim_core.plant import Plant
+from puma_sim_core.session import Session, SessionConfig
 
 TIMEOUT = 0.112  # four steps
 
 
 def connected(interface):
-    with Node(paused=True, command_interface=interface, command_timeout=TIMEOUT) as node, \
-            Peer(node.namespace, interface) as peer:
+    with (
+        Node(paused=True, command_interface=interface, command_timeout=TIMEOUT) as node,
+        Peer(node.namespace, interface) as peer,
+    ):
         peer.find_simulator()
         yield peer
 
@@ -45,8 +47,7 @@ def at_rest(request):
 
 def reference(interface):
     """The same session without ROS."""
-    return Session(SessionConfig(Plant.of("bejczy"), command_interface=interface,
-                                 command_timeout=TIMEOUT))
+    return Session(SessionConfig(Plant.of("bejczy"), command_interface=interface, command_timeout=TIMEOUT))
 
 
 def assert_same(peer, session):
@@ -68,8 +69,7 @@ def rejected(peer):
     def keep(message):
         for status in message.status:
             if status.name == f"{peer.node.get_namespace()}/sim_node":
-                counts.extend(item.value for item in status.values
-                              if item.key == "commands rejected")
+                counts.extend(item.value for item in status.values if item.key == "commands rejected")
 
     subscription = peer.node.create_subscription(DiagnosticArray, "/diagnostics", keep, 10)
     try:
@@ -153,8 +153,14 @@ def test_joint_commands_name_a_subset_in_any_order(setpoints, joint_commands):
     assert all(setpoints.states[3].position[j] != 0.0 for j in range(3))
 
 
-BAD_JOINTS = [(["joint4"], [0.1]), (["joint1", "joint1"], [0.1, 0.1]), (["joint1"], []),
-              (["joint1"], [0.1, 0.2]), (["joint2"], [math.nan]), ([], [])]
+BAD_JOINTS = [
+    (["joint4"], [0.1]),
+    (["joint1", "joint1"], [0.1, 0.1]),
+    (["joint1"], []),
+    (["joint1"], [0.1, 0.2]),
+    (["joint2"], [math.nan]),
+    ([], []),
+]
 
 
 def test_bad_joint_commands_are_refused(setpoints, joint_commands):
@@ -180,8 +186,10 @@ def test_without_setpoints_the_arm_is_held_after_the_timeout(setpoints):
 
 
 def test_volts_are_never_read_as_setpoints(setpoints):
-    assert setpoints.node.get_subscriptions_info_by_topic(
-        setpoints.node.resolve_topic_name("voltage_controller/commands")) == []
+    assert (
+        setpoints.node.get_subscriptions_info_by_topic(setpoints.node.resolve_topic_name("voltage_controller/commands"))
+        == []
+    )
 
 
 def test_commands_reach_the_node_of_their_namespace_only(volts):

@@ -12,16 +12,16 @@ import yaml
 
 pytest.importorskip("rclpy")
 
-from ros_support import Node, Peer, arguments, run_program  # noqa: E402
+from ros_support import Node, Peer, arguments, run_program
 
-from puma_sim_core.bag import read_bag  # noqa: E402
-from puma_sim_core.control.pid import PidGains  # noqa: E402
-from puma_sim_core.control.servo import ServoConfig  # noqa: E402
-from puma_sim_core.plant import Plant  # noqa: E402
-from puma_sim_core.recording import read_csv  # noqa: E402
-from puma_sim_core.replay import replay, session_of  # noqa: E402
-from puma_sim_core.resources import config_path  # noqa: E402
-from puma_sim_core.session import Session, SessionConfig  # noqa: E402
+from puma_sim_core.bag import read_bag
+from puma_sim_core.control.pid import PidGains
+from puma_sim_core.control.servo import ServoConfig
+from puma_sim_core.plant import Plant
+from puma_sim_core.recording import read_csv
+from puma_sim_core.replay import replay, session_of
+from puma_sim_core.resources import config_path
+from puma_sim_core.session import Session, SessionConfig
 
 START = (0.0, -1.2, 1.0)
 STEPS = 20
@@ -46,11 +46,14 @@ def follow(peer, session):
 @pytest.mark.parametrize("kind", ["scheduled", "computed_torque"])
 def test_the_node_runs_a_controller_and_its_bag_replays(kind, tmp_path):
     bag = tmp_path / "bag"
-    with Node(paused=True, command_interface="position", controller=kind, bag_path=bag,
-              initial_position=list(START)) as node, Peer(node.namespace, "position") as peer:
+    with (
+        Node(
+            paused=True, command_interface="position", controller=kind, bag_path=bag, initial_position=list(START)
+        ) as node,
+        Peer(node.namespace, "position") as peer,
+    ):
         peer.find_simulator()
-        config = SessionConfig(Plant.of(), command_interface="position", initial_position=START,
-                               controller=kind)
+        config = SessionConfig(Plant.of(), command_interface="position", initial_position=START, controller=kind)
         follow(peer, Session(config))
     # each reset starts a bag; the last one has the steps
     last = max(tmp_path.glob("bag*"), key=lambda path: len(read_bag(path).steps))
@@ -65,17 +68,31 @@ def test_controller_and_servo_change_at_a_reset_and_bags_tell_which(tmp_path):
     other["servo"]["computed_torque"]["bandwidth"] = [20.0, 25.0, 30.0]
     file = tmp_path / "controllers.yaml"
     file.write_text(yaml.safe_dump(other))
-    with Node(paused=True, command_interface="position", bag_path=tmp_path / "bag",
-              initial_position=list(START)) as node, Peer(node.namespace, "position") as peer:
+    with (
+        Node(
+            paused=True, command_interface="position", bag_path=tmp_path / "bag", initial_position=list(START)
+        ) as node,
+        Peer(node.namespace, "position") as peer,
+    ):
         peer.find_simulator()
-        values = {"servo.gain": [700.0, 1200.0, 600.0], "servo.integral_time": [0.0, 0.3, 0.3],
-                  "servo.derivative_time": [0.02, 0.02, 0.02], "servo.amplifier_gain": 4.0,
-                  "servo.converter_bits": 12, "servo.encoder_counts": 1000,
-                  "servo.derivative_on_measurement": False}
+        values = {
+            "servo.gain": [700.0, 1200.0, 600.0],
+            "servo.integral_time": [0.0, 0.3, 0.3],
+            "servo.derivative_time": [0.02, 0.02, 0.02],
+            "servo.amplifier_gain": 4.0,
+            "servo.converter_bits": 12,
+            "servo.encoder_counts": 1000,
+            "servo.derivative_on_measurement": False,
+        }
         assert all(result.successful for result in peer.set(**values))
         peer.fresh()
-        servo = ServoConfig((PidGains(700.0, math.inf, 0.02), PidGains(1200.0, 0.3, 0.02),
-                             PidGains(600.0, 0.3, 0.02)), 4.0, 12, 1000, False)
+        servo = ServoConfig(
+            (PidGains(700.0, math.inf, 0.02), PidGains(1200.0, 0.3, 0.02), PidGains(600.0, 0.3, 0.02)),
+            4.0,
+            12,
+            1000,
+            False,
+        )
         common = dict(command_interface="position", initial_position=START, servo=servo)
         follow(peer, Session(SessionConfig(Plant.of(), **common)))
         (result,) = peer.set(controller="computed_torque")
@@ -83,8 +100,9 @@ def test_controller_and_servo_change_at_a_reset_and_bags_tell_which(tmp_path):
         (result,) = peer.set(controllers_file=str(file))
         assert result.successful
         peer.fresh()
-        config = SessionConfig(Plant.of(), controller="computed_torque",
-                               controller_settings=other["servo"]["computed_torque"], **common)
+        config = SessionConfig(
+            Plant.of(), controller="computed_torque", controller_settings=other["servo"]["computed_torque"], **common
+        )
         follow(peer, Session(config))
         (result,) = peer.set(controller="pid")
         assert not result.successful and "given with controller pid" in result.reason
@@ -97,9 +115,12 @@ def test_an_external_controller_of_any_kind_follows_the_line(kind, tmp_path):
     log = tmp_path / "log.csv"
     bag = tmp_path / "bag"
     with Node(mode="lockstep", bag_path=bag, initial_position=[0.2, -0.9, 0.6]) as node:
-        done = run_program("puma_sim_ros.external_controller", *arguments({
-            "controller": kind, "duration": 2.0, "drop": 0.2, "settle": 1.0, "log_path": log}),
-            "-r", f"__ns:={node.namespace}")
+        done = run_program(
+            "puma_sim_ros.external_controller",
+            *arguments({"controller": kind, "duration": 2.0, "drop": 0.2, "settle": 1.0, "log_path": log}),
+            "-r",
+            f"__ns:={node.namespace}",
+        )
         assert done.returncode == 0, done.stderr
     run = read_csv(log, ("voltage", "setpoint", "position"))
     error = np.abs(run.position - run.setpoint)
@@ -111,10 +132,11 @@ def test_an_external_controller_of_any_kind_follows_the_line(kind, tmp_path):
 
 
 def test_an_external_controller_that_cannot_be_is_named():
-    for parameters, words in (({"controller": "pd"}, ["'controller'", "pd", "computed_torque"]),
-                              ({"controller": "scheduled", "controllers_file": "/nowhere.yaml"},
-                               ["/nowhere.yaml"]),
-                              ({"gain": "[1.0, 2.0]"}, ["three numbers"])):
+    for parameters, words in (
+        ({"controller": "pd"}, ["'controller'", "pd", "computed_torque"]),
+        ({"controller": "scheduled", "controllers_file": "/nowhere.yaml"}, ["/nowhere.yaml"]),
+        ({"gain": "[1.0, 2.0]"}, ["three numbers"]),
+    ):
         done = run_program("puma_sim_ros.external_controller", *arguments(parameters))
         assert done.returncode == 1
         line = done.stderr.strip().splitlines()[-1]
@@ -133,8 +155,8 @@ def test_the_files_of_parameters_have_the_defaults_of_the_nodes():
                 yield f"{prefix}{name}", value
 
     for file, node, defaults in (
-            ("sim_node.yaml", "/**/sim_node",
-             {d.name: d.default for d in node_parameters.PARAMETERS}),
-            ("external_controller.yaml", "/**/external_controller", external)):
+        ("sim_node.yaml", "/**/sim_node", {d.name: d.default for d in node_parameters.PARAMETERS}),
+        ("external_controller.yaml", "/**/external_controller", external),
+    ):
         found = yaml.safe_load(config_path(file).read_text())[node]["ros__parameters"]
         assert dict(flat(found)) == defaults

@@ -8,9 +8,9 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from ros_support import run_program  # noqa: E402
+from ros_support import run_program
 
-from puma_sim_core.replay import replay  # noqa: E402
+from puma_sim_core.replay import replay
 
 
 def test_demo(tmp_path):
@@ -18,8 +18,7 @@ def test_demo(tmp_path):
     (tmp_path / "bag" / "precious").write_text("data")
     done = run_program("puma_sim_ros.demo", "--out", str(tmp_path), "--mode", "lockstep")
     assert done.returncode == 0, done.stdout + done.stderr
-    for words in ("tracking error", "steps: ", " 0 lost", "replay identical",
-                  str(tmp_path / "bag_1")):
+    for words in ("tracking error", "steps: ", " 0 lost", "replay identical", str(tmp_path / "bag_1")):
         assert words in done.stdout
     assert replay(tmp_path / "bag_1").identical
     assert [path.name for path in (tmp_path / "bag").iterdir()] == ["precious"]

@@ -11,16 +11,14 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from ros_support import Node, Peer, arguments, run_program  # noqa: E402
+from ros_support import Node, Peer, arguments, run_program
 
 BAD_PARAMETERS = {
     "unknown set": ({"parameter_set": "nobody"}, ["parameter_set", "nobody", "bejczy"]),
     "unknown effect": ({"effects": "['stiction:joint=1']"}, ["effects", "stiction"]),
-    "effect out of bounds": ({"effects": "['coulomb_friction:joint=2,torque=-1']"},
-                             ["effects", "torque", "0 to"]),
+    "effect out of bounds": ({"effects": "['coulomb_friction:joint=2,torque=-1']"}, ["effects", "torque", "0 to"]),
     "no model file": ({"model": "/nowhere/model.yaml"}, ["model", "/nowhere/model.yaml"]),
-    "model and set": ({"model": "/nowhere/model.yaml", "parameter_set": "paul"},
-                      ["parameter_set", "model"]),
+    "model and set": ({"model": "/nowhere/model.yaml", "parameter_set": "paul"}, ["parameter_set", "model"]),
     "step above 8 ms": ({"substeps": 2}, ["substeps", "8 ms"]),
     "range": ({"period": 20.0}, ["period", "20.0", "0.001 to 1"]),
     "type": ({"voltage_limit": 40}, ["voltage_limit", "40", "decimal point"]),
@@ -28,12 +26,12 @@ BAD_PARAMETERS = {
     "array value": ({"initial_position": "[0.0, .nan, 0.0]"}, ["initial_position", "finite"]),
     "joint names": ({"joints": "[a, b, a]"}, ["joint", "three different names"]),
     "interface": ({"command_interface": "torque"}, ["command_interface", "voltage or position"]),
-    "controller": ({"command_interface": "position", "controller": "pd"},
-                   ["controller 'pd'", "computed_torque"]),
+    "controller": ({"command_interface": "position", "controller": "pd"}, ["controller 'pd'", "computed_torque"]),
     "controller and volts": ({"controller": "scheduled"}, ["command_interface position"]),
-    "controllers file": ({"command_interface": "position", "controller": "scheduled",
-                          "controllers_file": "/nowhere.yaml"},
-                         ["controllers_file", "/nowhere.yaml"]),
+    "controllers file": (
+        {"command_interface": "position", "controller": "scheduled", "controllers_file": "/nowhere.yaml"},
+        ["controllers_file", "/nowhere.yaml"],
+    ),
     "gains": ({"servo.gain": "[1.0, 2.0]"}, ["servo.gain", "three numbers"]),
     "mode": ({"mode": "fast"}, ["mode", "realtime or lockstep"]),
     "simulated time": ({"use_sim_time": "true"}, ["use_sim_time", "source of simulated time"]),
@@ -46,8 +44,7 @@ BAD_PARAMETERS = {
 def refusals():
     """All programs with bad parameters, two at a time."""
     with ThreadPoolExecutor(2) as pool:
-        done = pool.map(lambda case: run_program("puma_sim_ros.sim_node", *arguments(case[0])),
-                        BAD_PARAMETERS.values())
+        done = pool.map(lambda case: run_program("puma_sim_ros.sim_node", *arguments(case[0])), BAD_PARAMETERS.values())
         return dict(zip(BAD_PARAMETERS, done))
 
 
@@ -93,16 +90,18 @@ def test_a_parameter_of_another_name_is_told(tmp_path):
 
 
 #: a stop far too stiff for steps of 7 ms: the integration diverges
-UNSTABLE = {"effects": "['soft_stop:joint=3,upper=0.0,stiffness=1e6,damping=1000.0']",
-            "initial_position": "[0.0, 0.0, 0.5]", "substeps": 4}
+UNSTABLE = {
+    "effects": "['soft_stop:joint=3,upper=0.0,stiffness=1e6,damping=1000.0']",
+    "initial_position": "[0.0, 0.0, 0.5]",
+    "substeps": 4,
+}
 
 
 def test_a_state_that_is_not_finite_pauses_the_node(tmp_path):
     with Node(paused=True, **UNSTABLE) as node, Peer(node.namespace) as peer:
         peer.find_simulator()
         peer.call("pause", data=False)
-        peer.wait_for(lambda: peer.call("get_parameters", names=["paused"]).values[0].bool_value,
-                      "the pause")
+        peer.wait_for(lambda: peer.call("get_parameters", names=["paused"]).values[0].bool_value, "the pause")
         refused = peer.call("step")
         assert not refused.success
         assert "step" in refused.message and "~/reset" in refused.message
@@ -111,8 +110,7 @@ def test_a_state_that_is_not_finite_pauses_the_node(tmp_path):
         peer.state_of(failed - 1)
         assert len(peer.states) == failed
         for state, current in zip(peer.states, peer.currents):
-            assert all(map(math.isfinite, (*state.position, *state.velocity, *state.effort,
-                                           *current)))
+            assert all(map(math.isfinite, (*state.position, *state.velocity, *state.effort, *current)))
         # a reset with a start at which nothing is wrong goes on
         assert peer.set(initial_position=[0.0, 0.0, -0.5])[0].successful
         peer.fresh()

@@ -11,18 +11,18 @@ import yaml
 
 pytest.importorskip("rclpy")
 
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from rcl_interfaces.msg import ParameterType  # noqa: E402
-from rclpy.qos import DurabilityPolicy, ReliabilityPolicy  # noqa: E402
-from ros_support import PERIOD_NS, Node, Peer, step_of, time_ns  # noqa: E402
-from rosgraph_msgs.msg import Clock  # noqa: E402
-from std_msgs.msg import String  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import ParameterType
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from ros_support import PERIOD_NS, Node, Peer, step_of, time_ns
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import String
 
-from puma_sim_core.parameters import load_parameters  # noqa: E402
-from puma_sim_core.plant import Plant  # noqa: E402
-from puma_sim_core.session import SessionConfig  # noqa: E402
-from puma_sim_core.urdf import arm_urdf  # noqa: E402
-from puma_sim_ros.messages import qos  # noqa: E402
+from puma_sim_core.parameters import load_parameters
+from puma_sim_core.plant import Plant
+from puma_sim_core.session import SessionConfig
+from puma_sim_core.urdf import arm_urdf
+from puma_sim_ros.messages import qos
 
 ARRAY, JOINTS = "std_msgs/msg/Float64MultiArray", "sensor_msgs/msg/JointState"
 
@@ -39,23 +39,30 @@ def at_rest(peer):
     peer.fresh()
 
 
-@pytest.mark.parametrize("name, kind, latched", [
-    ("joint_states", JOINTS, False),
-    ("motor_currents", ARRAY, False),
-    ("motor_voltages", ARRAY, False),
-    ("robot_description", "std_msgs/msg/String", True),
-    ("sim_node/model", "std_msgs/msg/String", True),
-    ("/clock", "rosgraph_msgs/msg/Clock", False),
-    ("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", False),
-])
+@pytest.mark.parametrize(
+    "name, kind, latched",
+    [
+        ("joint_states", JOINTS, False),
+        ("motor_currents", ARRAY, False),
+        ("motor_voltages", ARRAY, False),
+        ("robot_description", "std_msgs/msg/String", True),
+        ("sim_node/model", "std_msgs/msg/String", True),
+        ("/clock", "rosgraph_msgs/msg/Clock", False),
+        ("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", False),
+    ],
+)
 def test_published_topic(peer, name, kind, latched):
     topic = peer.node.resolve_topic_name(name)
-    found = [info for info in peer.node.get_publishers_info_by_topic(topic)
-             if (info.node_namespace, info.node_name) == (peer.node.get_namespace(), "sim_node")]
+    found = [
+        info
+        for info in peer.node.get_publishers_info_by_topic(topic)
+        if (info.node_namespace, info.node_name) == (peer.node.get_namespace(), "sim_node")
+    ]
     assert [info.topic_type for info in found] == [kind]
     assert found[0].qos_profile.reliability == ReliabilityPolicy.RELIABLE
     assert found[0].qos_profile.durability == (
-        DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE)
+        DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
+    )
 
 
 def test_only_the_selected_command_topic_is_subscribed(peer):
@@ -75,8 +82,7 @@ def test_state_at_the_start_and_at_each_step(peer):
         assert time_ns(state) == step * PERIOD_NS
         assert state.header.frame_id == "base_link"
         assert list(state.name) == ["joint1", "joint2", "joint3"]
-        for values in (state.position, state.velocity, state.effort, peer.currents[step],
-                       peer.voltages[step]):
+        for values in (state.position, state.velocity, state.effort, peer.currents[step], peer.voltages[step]):
             assert len(values) == 3
             assert all(map(math.isfinite, values))
     assert len(peer.states) == 4
@@ -94,7 +100,8 @@ def latched_text(peer, topic):
     """What a subscriber gets that comes long after the message."""
     texts = []
     subscription = peer.node.create_subscription(
-        String, topic, lambda message: texts.append(message.data), qos(1, latched=True))
+        String, topic, lambda message: texts.append(message.data), qos(1, latched=True)
+    )
     try:
         peer.wait_for(lambda: texts, topic)
     finally:
@@ -114,10 +121,16 @@ def test_late_subscribers_get_the_model(peer):
 def test_clock_is_simulated_time(peer):
     times = []
     subscription = peer.node.create_subscription(
-        Clock, "/clock", lambda m: times.append(m.clock.sec * 10**9 + m.clock.nanosec), 10)
+        Clock, "/clock", lambda m: times.append(m.clock.sec * 10**9 + m.clock.nanosec), 10
+    )
     try:
-        peer.wait_for(lambda: peer.node.count_publishers("/clock") and (
-            peer.step(), peer.executor.spin_once(timeout_sec=0.1), times)[-1], "/clock")
+        peer.wait_for(
+            lambda: (
+                peer.node.count_publishers("/clock")
+                and (peer.step(), peer.executor.spin_once(timeout_sec=0.1), times)[-1]
+            ),
+            "/clock",
+        )
         peer.wait_for(lambda: times[-1] == time_ns(peer.states[-1]), "the time of the last state")
     finally:
         peer.node.destroy_subscription(subscription)
@@ -169,8 +182,9 @@ def test_diagnostics(peer):
     def keep(message):
         for status in message.status:
             if status.name == f"{peer.node.get_namespace()}/sim_node":
-                found.update(level=status.level, text=status.message,
-                             values={item.key: item.value for item in status.values})
+                found.update(
+                    level=status.level, text=status.message, values={item.key: item.value for item in status.values}
+                )
 
     subscription = peer.node.create_subscription(DiagnosticArray, "/diagnostics", keep, 10)
     try:
@@ -217,8 +231,14 @@ PARAMETERS = {
     "servo.converter_bits": ParameterType.PARAMETER_INTEGER,
     "servo.encoder_counts": ParameterType.PARAMETER_INTEGER,
 }
-CHANGEABLE = {"real_time_factor", "voltage_limit", "command_timeout", "initial_position", "paused",
-              *(name for name in PARAMETERS if name.startswith(("controller", "servo.")))}
+CHANGEABLE = {
+    "real_time_factor",
+    "voltage_limit",
+    "command_timeout",
+    "initial_position",
+    "paused",
+    *(name for name in PARAMETERS if name.startswith(("controller", "servo."))),
+}
 
 
 def test_parameters_are_described(peer):
@@ -235,25 +255,28 @@ def test_parameters_are_described(peer):
             assert len(descriptor.integer_range) == 1
 
 
-@pytest.mark.parametrize("name, value, reason", [
-    ("period", 0.014, "read-only"),
-    ("command_interface", "position", "read-only"),
-    ("voltage_limit", -1.0, "range"),
-    ("real_time_factor", 0.0, "range"),
-    ("command_timeout", math.nan, "range"),
-    ("initial_position", [0.0, 0.0], "three finite numbers"),
-    ("initial_position", [0.0, math.nan, 0.0], "three finite numbers"),
-    ("controller", "scheduled", "command_interface position"),
-    ("controllers_file", "gains.yaml", "given with controller pid"),
-    ("servo.gain", [1.0, 2.0], "three numbers, one for each joint"),
-    ("servo.gain", [1.0, -2.0, 3.0], "gain = -2.0"),
-    ("servo.derivative_time", [1.0, math.nan, 3.0], "derivative_time = nan"),
-    ("servo.converter_bits", 33, "range"),
-    ("servo.converter_bits", 1, "from 2 to 32"),
-    ("servo.encoder_counts", -1, "range"),
-    ("servo.amplifier_gain", 0.0, "range"),
-    ("use_sim_time", True, "source of simulated time"),
-])
+@pytest.mark.parametrize(
+    "name, value, reason",
+    [
+        ("period", 0.014, "read-only"),
+        ("command_interface", "position", "read-only"),
+        ("voltage_limit", -1.0, "range"),
+        ("real_time_factor", 0.0, "range"),
+        ("command_timeout", math.nan, "range"),
+        ("initial_position", [0.0, 0.0], "three finite numbers"),
+        ("initial_position", [0.0, math.nan, 0.0], "three finite numbers"),
+        ("controller", "scheduled", "command_interface position"),
+        ("controllers_file", "gains.yaml", "given with controller pid"),
+        ("servo.gain", [1.0, 2.0], "three numbers, one for each joint"),
+        ("servo.gain", [1.0, -2.0, 3.0], "gain = -2.0"),
+        ("servo.derivative_time", [1.0, math.nan, 3.0], "derivative_time = nan"),
+        ("servo.converter_bits", 33, "range"),
+        ("servo.converter_bits", 1, "from 2 to 32"),
+        ("servo.encoder_counts", -1, "range"),
+        ("servo.amplifier_gain", 0.0, "range"),
+        ("use_sim_time", True, "source of simulated time"),
+    ],
+)
 def test_change_of_a_parameter_that_is_refused(peer, name, value, reason):
     (result,) = peer.set(**{name: value})
     assert not result.successful
@@ -261,8 +284,7 @@ def test_change_of_a_parameter_that_is_refused(peer, name, value, reason):
 
 
 def test_changed_start_and_limit_hold_from_the_next_reset(peer):
-    assert all(r.successful for r in peer.set(initial_position=[0.1, -0.2, 0.3],
-                                              voltage_limit=5.0))
+    assert all(r.successful for r in peer.set(initial_position=[0.1, -0.2, 0.3], voltage_limit=5.0))
     try:
         peer.send(30.0, 0.0, 0.0)
         peer.step()

@@ -11,11 +11,11 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from ros_support import Node, Peer, arguments, run_program, step_of  # noqa: E402
+from ros_support import Node, Peer, arguments, run_program, step_of
 
-from puma_sim_core.bag import read_bag  # noqa: E402
-from puma_sim_core.recording import read_csv  # noqa: E402
-from puma_sim_core.replay import replay  # noqa: E402
+from puma_sim_core.bag import read_bag
+from puma_sim_core.recording import read_csv
+from puma_sim_core.replay import replay
 
 
 def volts_of(step):
@@ -56,8 +56,7 @@ def test_two_runs_give_byte_equal_bags_that_replay(tmp_path):
         assert one == two
     contents = read_bag(tmp_path / "first" / "bag")
     assert [step for step, _ in contents.commands] == list(range(120))
-    assert [command.values for _, command in contents.commands] == \
-        [volts_of(step) for step in range(120)]
+    assert [command.values for _, command in contents.commands] == [volts_of(step) for step in range(120)]
     assert replay(tmp_path / "first" / "bag").identical
 
 
@@ -95,16 +94,19 @@ def test_a_command_during_a_pause_makes_its_step_afterwards(lockstep):
 def test_the_example_controller_follows_its_line(tmp_path):
     bag, log = tmp_path / "bag", tmp_path / "log.csv"
     with Node(mode="lockstep", bag_path=bag) as node:
-        controller = run_program("puma_sim_ros.external_controller",
-                                 *arguments({"duration": 2.0, "log_path": log}),
-                                 "-r", f"__ns:={node.namespace}")
+        controller = run_program(
+            "puma_sim_ros.external_controller",
+            *arguments({"duration": 2.0, "log_path": log}),
+            "-r",
+            f"__ns:={node.namespace}",
+        )
     assert controller.returncode == 0, controller.stderr
     assert controller.stdout.count("tracking error of joint") == 3
     assert "missed: 0" in controller.stdout
     contents = read_bag(bag)
     table = read_csv(log, required=("voltage", "setpoint", "position"))
     # what the controller saw and sent is what the simulator recorded
-    assert table.position.tolist() == contents.position[:len(table)].tolist()
+    assert table.position.tolist() == contents.position[: len(table)].tolist()
     assert table.voltage.tolist() == [list(c.values) for _, c in contents.commands]
     # and the arm went where it should
     assert abs(table.setpoint - table.position).max() < 0.05
@@ -112,8 +114,7 @@ def test_the_example_controller_follows_its_line(tmp_path):
 
 
 def test_the_example_controller_says_when_nobody_answers():
-    done = run_program("puma_sim_ros.external_controller", *arguments({"timeout": 1.0}),
-                       "-r", "__ns:=/nobody")
+    done = run_program("puma_sim_ros.external_controller", *arguments({"timeout": 1.0}), "-r", "__ns:=/nobody")
     assert done.returncode == 1
     assert "no answer for 1 s" in done.stderr
     assert "sim_node" in done.stderr
@@ -121,7 +122,8 @@ def test_the_example_controller_says_when_nobody_answers():
 
 def test_the_example_controller_refuses_a_simulator_that_takes_setpoints():
     with Node(mode="lockstep", command_interface="position") as node:
-        done = run_program("puma_sim_ros.external_controller", *arguments({"timeout": 10.0}),
-                           "-r", f"__ns:={node.namespace}")
+        done = run_program(
+            "puma_sim_ros.external_controller", *arguments({"timeout": 10.0}), "-r", f"__ns:={node.namespace}"
+        )
     assert done.returncode == 1
     assert "command_interface is position; expected voltage" in done.stderr

@@ -4,23 +4,23 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
 
-from ros_support import Node, Peer, environment, run_program, step_of  # noqa: E402
+from ros_support import Node, Peer, environment, run_program, step_of
 
-from puma_sim_core.loop import bag_log  # noqa: E402
-from puma_sim_core.loop.ingest import read_log  # noqa: E402
-from puma_sim_core.mechanisms import load_mechanism  # noqa: E402
-from puma_sim_core.plant import load_model  # noqa: E402
-from puma_sim_ros.exciting_motion import MIDDLE, expected_volts, motion  # noqa: E402
+from puma_sim_core.loop import bag_log
+from puma_sim_core.loop.ingest import read_log
+from puma_sim_core.mechanisms import load_mechanism
+from puma_sim_core.plant import load_model
+from puma_sim_ros.exciting_motion import MIDDLE, expected_volts, motion
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(600)]
 
@@ -30,10 +30,14 @@ def demonstrated(tmp_path_factory):
     """Folder and printed text of one demonstration."""
     out = tmp_path_factory.mktemp("loop")
     # explain is compiled where it can be: interpreted it would take minutes
-    variables = {name: value for name, value in environment().items()
-                 if name != "PUMA_SIM_KERNEL"}
-    done = subprocess.run([sys.executable, "-m", "puma_sim_ros.loop_demo", "--out", str(out)],
-                          env=variables, text=True, capture_output=True, timeout=500)
+    variables = {name: value for name, value in environment().items() if name != "PUMA_SIM_KERNEL"}
+    done = subprocess.run(
+        [sys.executable, "-m", "puma_sim_ros.loop_demo", "--out", str(out)],
+        env=variables,
+        text=True,
+        capture_output=True,
+        timeout=500,
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     return out, done.stdout
 
@@ -42,18 +46,23 @@ def test_the_hidden_effect_is_named(demonstrated):
     out, text = demonstrated
     report = json.loads((out / "report" / "report.json").read_text())
     assert report["verdict"] == "NAMED"
-    effect, = report["effects"]
+    (effect,) = report["effects"]
     assert (effect["name"], effect["joint"]) == ("asymmetric_coulomb_friction", 2)
-    hidden, = (each for each in load_model(out / "hidden" / "model.yaml").effects
-               if each.kind.name == effect["name"])
+    (hidden,) = (each for each in load_model(out / "hidden" / "model.yaml").effects if each.kind.name == effect["name"])
     for name, value in hidden.values.items():
         assert effect["parameters"][name]["value"] == pytest.approx(value, rel=0.15)
         assert f"{name} {value:g}" in text
     errors = report["errors"]["held_out"]
     assert errors["voltage_rms"]["augmented"][1] < 0.5 * errors["voltage_rms"]["retuned"][1]
     assert errors["position_rms"]["augmented"][1] < 0.5 * errors["position_rms"]["retuned"][1]
-    for words in ("verdict: NAMED", "hidden:", "named:", str(out / "bag"),
-                  str(out / "report" / "report.html"), str(out / "report" / "model.yaml")):
+    for words in (
+        "verdict: NAMED",
+        "hidden:",
+        "named:",
+        str(out / "bag"),
+        str(out / "report" / "report.html"),
+        str(out / "report" / "model.yaml"),
+    ):
         assert words in text
 
 
@@ -67,16 +76,15 @@ def test_explain_reads_rows_of_the_bag_and_nothing_of_its_model(demonstrated, mo
     # stalls for half a second the simulator asks again, and an answer too many makes a row more.
     more = len(log) - len(volts) - 1
     assert 0 <= more <= 5
-    held = volts + np.array([150.0, 260.0, 135.0]) * (setpoints - log.position[:len(volts)])
-    same = np.isclose(log.voltage[:len(volts)], held, rtol=0.0, atol=1e-9).all(axis=1)
+    held = volts + np.array([150.0, 260.0, 135.0]) * (setpoints - log.position[: len(volts)])
+    same = np.isclose(log.voltage[: len(volts)], held, rtol=0.0, atol=1e-9).all(axis=1)
     assert same.all() if more == 0 else same[0]
     # with another model in the bag the log is the same to the bit
     read = bag_log.read_bag
     hidden = json.dumps(load_model(out / "hidden" / "model.yaml").to_mapping())
     other = {"plant": {}, "voltage_limit": 40.0, "command_timeout": 0.5, "period": 0.01}
     assert "asymmetric" in hidden and "asymmetric" in read(out / "bag").config_text
-    monkeypatch.setattr(bag_log, "read_bag",
-                        lambda path: replace(read(path), config_text=json.dumps(other)))
+    monkeypatch.setattr(bag_log, "read_bag", lambda path: replace(read(path), config_text=json.dumps(other)))
     again = read_log(out / "bag")
     for group in ("time", "voltage", "position", "velocity", "current"):
         np.testing.assert_array_equal(getattr(again, group), getattr(log, group))
@@ -84,8 +92,7 @@ def test_explain_reads_rows_of_the_bag_and_nothing_of_its_model(demonstrated, mo
 
 def test_the_node_runs_the_model_that_explain_wrote(demonstrated):
     out, _ = demonstrated
-    with Node(model=out / "report" / "model.yaml", mode="lockstep") as node, \
-            Peer(node.namespace) as peer:
+    with Node(model=out / "report" / "model.yaml", mode="lockstep") as node, Peer(node.namespace) as peer:
         peer.find_simulator(reset=False)
         peer.commands.publish(peer.commands.msg_type(data=(5.0, 5.0, 5.0)))
         peer.wait_for(lambda: peer.states and step_of(peer.states[-1]) == 1, "state 1")

@@ -11,10 +11,10 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from ros_support import PERIOD_NS, Node, Peer, step_of, time_ns  # noqa: E402
+from ros_support import PERIOD_NS, Node, Peer, step_of, time_ns
 
-from puma_sim_core.bag import read_bag  # noqa: E402
-from puma_sim_core.replay import replay  # noqa: E402
+from puma_sim_core.bag import read_bag
+from puma_sim_core.replay import replay
 
 
 class Running:
@@ -28,8 +28,9 @@ class Running:
     def find(self, paused=False):
         self.peer.find_simulator(reset=False)
         if not paused:
-            self.peer.wait_for(lambda: self.peer.voltages and self.peer.states
-                               and step_of(self.peer.states[-1]) > 2, "states")
+            self.peer.wait_for(
+                lambda: self.peer.voltages and self.peer.states and step_of(self.peer.states[-1]) > 2, "states"
+            )
 
     def end(self, number=signal.SIGINT):
         self.peer.close()
@@ -101,8 +102,11 @@ def test_a_command_is_shown_within_one_period(running):
     contents = read_bag(run.bag)
     # the answer to state k acts from k on and is shown by state k + 1; a machine that was busy
     # for a whole period may have kept some of them back
-    shown = [contents.voltage[step + 1].tolist() == list(volts) for step, volts in sent.items()
-             if step + 1 < len(contents.steps)]
+    shown = [
+        contents.voltage[step + 1].tolist() == list(volts)
+        for step, volts in sent.items()
+        if step + 1 < len(contents.steps)
+    ]
     assert sum(shown) >= 0.5 * len(shown)
     by_step = {}
     for step, command in contents.commands:

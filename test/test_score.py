@@ -15,35 +15,47 @@ pytest.importorskip("scipy")
 from blind import records
 from score import plan, run, table
 from score.rates import clopper_pearson, wilson
-from score.scoring import (axis_right, coverage, fault_right, kind_of, over_joints, row_of,
-                           tie_aware)
+from score.scoring import axis_right, coverage, fault_right, kind_of, over_joints, row_of, tie_aware
 
 
 def effect(name, joint, size=3.0, **parameters):
-    return {"name": name, "joint": joint, "size": size, "distinct_size": size,
-            "parameters": parameters}
+    return {"name": name, "joint": joint, "size": size, "distinct_size": size, "parameters": parameters}
 
 
 def said(name, joint, ties=(), **intervals):
-    return {"name": name, "joint": joint, "evidence": 50.0,
-            "tied_with": [{"name": n, "joint": j} for n, j in ties],
-            "parameters": {key: {"value": sum(ci) / 2, "ci95": list(ci), "unit": "1"}
-                           for key, ci in intervals.items()}}
+    return {
+        "name": name,
+        "joint": joint,
+        "evidence": 50.0,
+        "tied_with": [{"name": n, "joint": j} for n, j in ties],
+        "parameters": {key: {"value": sum(ci) / 2, "ci95": list(ci), "unit": "1"} for key, ci in intervals.items()},
+    }
 
 
 def report(verdict, *effects, shape=None, faults=(), augmented=1.0, retuned=2.0):
-    position = {"nominal": [4.0] * 3, "retuned": [retuned] * 3, "augmented": [augmented] * 3,
-                "floor": [0.5] * 3}
-    return {"verdict": verdict, "effects": list(effects), "shape": shape, "ranking": [],
-            "faults": [{"channel": c, "row": r, "what": "x"} for c, r in faults],
-            "errors": {"fit": None, **{part: {"position_rms": position}
-                                      for part in ("held_out", "unseen")}}}
+    position = {"nominal": [4.0] * 3, "retuned": [retuned] * 3, "augmented": [augmented] * 3, "floor": [0.5] * 3}
+    return {
+        "verdict": verdict,
+        "effects": list(effects),
+        "shape": shape,
+        "ranking": [],
+        "faults": [{"channel": c, "row": r, "what": "x"} for c, r in faults],
+        "errors": {"fit": None, **{part: {"position_rms": position} for part in ("held_out", "unseen")}},
+    }
 
 
 def answer(*effects, outside=None, faults=()):
-    return {"effects": list(effects), "outside": outside, "faults": list(faults), "size": 3.0,
-            "recipe": {"fault": "gap" if faults else None}, "sampling_ms": 1.0,
-            "motion": "fourier", "feedback": True, "dither": None}
+    return {
+        "effects": list(effects),
+        "outside": outside,
+        "faults": list(faults),
+        "size": 3.0,
+        "recipe": {"fault": "gap" if faults else None},
+        "sampling_ms": 1.0,
+        "motion": "fourier",
+        "feedback": True,
+        "dither": None,
+    }
 
 
 def reached(errors):
@@ -52,26 +64,42 @@ def reached(errors):
 
 
 def outcome(answered, reported, **more):
-    return {"record": "record_002000", "answer": answered, "report": reported, "error": None,
-            "crash": None, "skipped": False, "seconds": 3.0, "megabytes": 300, **more}
+    return {
+        "record": "record_002000",
+        "answer": answered,
+        "report": reported,
+        "error": None,
+        "crash": None,
+        "skipped": False,
+        "seconds": 3.0,
+        "megabytes": 300,
+        **more,
+    }
 
 
-@pytest.mark.parametrize("right, count, low, high", [
-    # Newcombe 1998, Statistics in Medicine 17:857, table I
-    (81, 263, 0.2553, 0.3662), (15, 148, 0.0624, 0.1605), (0, 20, 0.0, 0.1611),
-    (1, 29, 0.0061, 0.1718)])
+@pytest.mark.parametrize(
+    "right, count, low, high",
+    [
+        # Newcombe 1998, Statistics in Medicine 17:857, table I
+        (81, 263, 0.2553, 0.3662),
+        (15, 148, 0.0624, 0.1605),
+        (0, 20, 0.0, 0.1611),
+        (1, 29, 0.0061, 0.1718),
+    ],
+)
 def test_wilson_is_that_of_the_literature(right, count, low, high):
     assert wilson(right, count) == pytest.approx((low, high), abs=5e-5)
 
 
-@pytest.mark.parametrize("right, count, low, high", [
-    (81, 263, 0.2527, 0.3676), (15, 148, 0.0578, 0.1617), (0, 20, 0.0, 0.1684),
-    (1, 29, 0.0009, 0.1776)])
+@pytest.mark.parametrize(
+    "right, count, low, high",
+    [(81, 263, 0.2527, 0.3676), (15, 148, 0.0578, 0.1617), (0, 20, 0.0, 0.1684), (1, 29, 0.0009, 0.1776)],
+)
 def test_clopper_and_pearson_is_that_of_the_literature(right, count, low, high):
     assert clopper_pearson(right, count) == pytest.approx((low, high), abs=5e-5)
     # exact: the tails at its ends hold 2.5 % each
     for p, ks in ((low, range(right, count + 1)), (high, range(right + 1))):
-        tail = sum(math.comb(count, k) * p**k * (1 - p)**(count - k) for k in ks)
+        tail = sum(math.comb(count, k) * p**k * (1 - p) ** (count - k) for k in ks)
         assert p in (0.0, 1.0) or tail == pytest.approx(0.025, rel=0.06)
 
 
@@ -132,19 +160,30 @@ def test_coverage_counts_what_was_fitted_and_named_right():
 
 def test_single_effects():
     answered = answer(effect("coulomb_friction", 2, 4.0))
-    row = row_of(outcome(answered, report("NAMED", said("coulomb_friction", 2)),
-                         true_structure={"held_out": [0.8] * 3, "unseen": [0.9] * 3}))
+    row = row_of(
+        outcome(
+            answered,
+            report("NAMED", said("coulomb_friction", 2)),
+            true_structure={"held_out": [0.8] * 3, "unseen": [0.9] * 3},
+        )
+    )
     assert row["kind"] == "single" and row["size"] == 4.0
     assert row["top1"] and row["exact"] and row["joint_right"] and not row["needless"]
     assert row["ratio"] == pytest.approx(1.25) and row["worse"] is False
     assert row["baselines"]["retuning"]["ratio"] == pytest.approx(2.5)
-    row = row_of(outcome(answered, report("NAMED", said("coulomb_friction", 3),
-                                          said("voltage_offset", 2), augmented=2.5)))
+    row = row_of(
+        outcome(answered, report("NAMED", said("coulomb_friction", 3), said("voltage_offset", 2), augmented=2.5))
+    )
     assert row["top1"] and not row["exact"] and not row["joint_right"] and row["needless"]
     assert row["worse"] is True and row["ratio"] is None
     assert row["unseen_worse"] is True and row["only_here"]
-    unlucky = row_of(outcome(answered, report("NAMED", said("coulomb_friction", 2), augmented=2.5),
-                             true_structure={"held_out": [1.9] * 3, "unseen": [2.4] * 3}))
+    unlucky = row_of(
+        outcome(
+            answered,
+            report("NAMED", said("coulomb_friction", 2), augmented=2.5),
+            true_structure={"held_out": [1.9] * 3, "unseen": [2.4] * 3},
+        )
+    )
     assert unlucky["unseen_worse"] is True and not unlucky["only_here"]
     row = row_of(outcome(answered, report("NOTHING_MISSING")))
     assert not row["top1"] and not row["named"]
@@ -164,8 +203,7 @@ def test_nothing_missing_pairs_and_outsiders():
     assert not row["both"] and row["one"]
     strange = answer(outside={"what": "shake", "joint": 2, "axis": "time", "also": []})
     shape = {"axis": "time", "joint": 2}
-    row = row_of(outcome(strange, report("NAMED_WITH_REMAINDER", said("payload", None),
-                                         shape=shape)))
+    row = row_of(outcome(strange, report("NAMED_WITH_REMAINDER", said("payload", None), shape=shape)))
     assert row["abstained"] and row["axis_right"] and row["shape_joint"]
     assert not row_of(outcome(strange, report("NAMED", said("payload", None))))["abstained"]
     assert kind_of(strange) == "outside" and kind_of(pair) == "pair"
@@ -173,14 +211,18 @@ def test_nothing_missing_pairs_and_outsiders():
 
 def test_a_baseline_that_cannot_be_run_has_no_finite_error():
     answered = answer(effect("coulomb_friction", 2, 4.0))
-    made = {"forward": {"names": [["coulomb_friction", 2], ["payload", None]],
-                        "position_rms": None}}
-    row = row_of(outcome(answered, report("NOTHING_MISSING"), true_structure=reached([1.0] * 3),
-                         baselines=made))
+    made = {"forward": {"names": [["coulomb_friction", 2], ["payload", None]], "position_rms": None}}
+    row = row_of(outcome(answered, report("NOTHING_MISSING"), true_structure=reached([1.0] * 3), baselines=made))
     forward = row["baselines"]["forward"]
     made["forward"]["position_rms"] = [1.2] * 3
-    run = row_of(outcome(answered, report("NOTHING_MISSING"), baselines=made,
-                         true_structure={"held_out": [1.0] * 3, "unseen": [0.8] * 3}))
+    run = row_of(
+        outcome(
+            answered,
+            report("NOTHING_MISSING"),
+            baselines=made,
+            true_structure={"held_out": [1.0] * 3, "unseen": [0.8] * 3},
+        )
+    )
     # its parameters were fitted to all of the log but what no choice has seen
     assert run["baselines"]["forward"]["ratio"] == pytest.approx(1.5)
     assert forward["top1"] and forward["needless"] and forward["ratio"] == math.inf
@@ -199,9 +241,11 @@ def test_the_table_counts_what_the_rows_say():
         outcome(good, report("NAMED", said("payload", None)), true_structure=reached([0.5] * 3)),
         outcome(small, report("NOTHING_MISSING")),
         outcome(answer(), report("NOTHING_MISSING")),
-        outcome(answer(faults=[{"channel": "time", "row": 9, "what": "gap"}]),
-                report("DATA_FAULT", faults=[("time", 9)])),
-        {**outcome(answer(), None), "error": "a crash"}]
+        outcome(
+            answer(faults=[{"channel": "time", "row": 9, "what": "gap"}]), report("DATA_FAULT", faults=[("time", 9)])
+        ),
+        {**outcome(answer(), None), "error": "a crash"},
+    ]
     shown = table.text([row_of(each) for each in outcomes], "Seeds 1 to 6")
     lines = {line[:47].strip(): line[47:] for line in shown.splitlines()}
     assert lines["right name first, size 1.5 and more"].startswith("1/2 50.0 % [9, 91]")
@@ -227,11 +271,19 @@ def test_a_whole_score_holds_what_was_asked_for():
     assert all(sum(plan.counts(n).values()) == n for n in (1, 7, 40, 341))
 
 
-@pytest.mark.parametrize("seed, development, allowed", [
-    (907_000, False, True), (906_999, False, False), (2300, False, False), (2300, True, True),
-    (1090, True, False), (2990, True, False), (907_000, True, False)])
-def test_seeds_of_scores_and_of_development_are_never_mixed(seed, development, allowed, tmp_path,
-                                                            capsys):
+@pytest.mark.parametrize(
+    "seed, development, allowed",
+    [
+        (907_000, False, True),
+        (906_999, False, False),
+        (2300, False, False),
+        (2300, True, True),
+        (1090, True, False),
+        (2990, True, False),
+        (907_000, True, False),
+    ],
+)
+def test_seeds_of_scores_and_of_development_are_never_mixed(seed, development, allowed, tmp_path, capsys):
     if allowed:
         plan.check_seeds(seed, 20, development)
         return

@@ -11,23 +11,24 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from screening_support import (ARM, STEP, recorded, residual, signals_of, smoothed,
-                               torque_per_ampere, volts)
+from screening_support import ARM, STEP, recorded, residual, signals_of, smoothed, torque_per_ampere, volts
 
 from puma_sim_core.effects import KINDS, Effect
 from puma_sim_core.effects.columns import SCREENINGS
 from puma_sim_core.effects.columns.outside import impulse
-from puma_sim_core.effects.screening import Illegal, TORQUE_COLUMN
+from puma_sim_core.effects.screening import TORQUE_COLUMN, Illegal
 
 pytestmark = pytest.mark.long
 
 
 def at(name, joint, grid):
     """Joint as the screening counts it, and the choice of the candidate nearest to `grid`."""
+
     def choose(signals):
         found = SCREENINGS[name].candidates(signals, joint)
         assert found, f"no candidates of {name}"
         return min(found, key=lambda c: sum(abs(np.log(c.grid[k] / v)) for k, v in grid.items()))
+
     return choose
 
 
@@ -36,8 +37,7 @@ def effect_of(name, joint, values):
 
 
 def as_signals(run, **fields):
-    return signals_of(run.time, run.voltage, run.position, run.velocity, run.acceleration,
-                      **fields)
+    return signals_of(run.time, run.voltage, run.position, run.velocity, run.acceleration, **fields)
 
 
 @pytest.fixture(scope="module")
@@ -64,8 +64,9 @@ TORQUES = [
 ]
 
 
-@pytest.mark.parametrize("name, joint, coefficients, grid", TORQUES,
-                         ids=[f"{c[0]}{'' if c[1] is None else c[1] + 1}" for c in TORQUES])
+@pytest.mark.parametrize(
+    "name, joint, coefficients, grid", TORQUES, ids=[f"{c[0]}{'' if c[1] is None else c[1] + 1}" for c in TORQUES]
+)
 def test_column_is_the_torque_that_the_effect_takes(plain, name, joint, coefficients, grid):
     choose = at(name, joint, grid)
     values = choose(plain).values(np.array(coefficients))
@@ -78,7 +79,7 @@ def test_column_is_the_torque_that_the_effect_takes(plain, name, joint, coeffici
     assert candidate.values(again) == pytest.approx(values, rel=2e-3, abs=1e-4)
     taken = run.current * torque_per_ampere() - signals.torque
     expected = torque(signals, candidate, again)
-    sliding = (np.abs(signals.velocity) > 0.01)
+    sliding = np.abs(signals.velocity) > 0.01
     assert np.abs(taken - expected)[sliding].max() < 2e-3 * np.abs(expected).max()
 
 
@@ -94,8 +95,7 @@ def fitted(signals, run, candidate):
     """Least squares of the candidate's columns on the torque that is missing, sliding rows."""
     missing = run.current * torque_per_ampere() - signals.torque
     sliding = np.abs(signals.velocity) > 0.01
-    rows = np.stack([torque(signals, candidate, unit)[sliding]
-                     for unit in np.eye(len(candidate.columns))], axis=1)
+    rows = np.stack([torque(signals, candidate, unit)[sliding] for unit in np.eye(len(candidate.columns))], axis=1)
     return np.linalg.lstsq(rows, missing[sliding], rcond=None)[0]
 
 
@@ -137,7 +137,7 @@ def test_column_of_a_stop_begins_at_its_place(plain, end):
 def test_columns_of_a_lean_are_linear_in_it():
     run = recorded("base_tilt:x=0.01,y=-0.006")
     signals = as_signals(run)
-    candidate, = SCREENINGS["base_tilt"].candidates(signals, None)
+    (candidate,) = SCREENINGS["base_tilt"].candidates(signals, None)
     taken = run.current * torque_per_ampere() - signals.torque
     expected = torque(signals, candidate, [0.01, -0.006])
     assert candidate.values(np.array([0.01, -0.006])) == {"x": 0.01, "y": -0.006}
@@ -151,8 +151,7 @@ def test_a_blow_is_found_where_it_came(plain):
     missing = residual(signals)
     assert impulse(signals, 1) == []
     found = impulse(signals, 1, missing)
-    best = min((c for c in found if c.grid["width"] == 0.065),
-               key=lambda c: abs(c.grid["time"] - 1.7234))
+    best = min((c for c in found if c.grid["width"] == 0.065), key=lambda c: abs(c.grid["time"] - 1.7234))
     assert abs(best.grid["time"] - 1.7234) < 3.0 * STEP
     assert best.tried > 50
     values = best.values(np.array([-70.0]))
@@ -173,8 +172,7 @@ VOLTAGES = [
 ]
 
 
-@pytest.mark.parametrize("name, joint, coefficients, grid, tolerance", VOLTAGES,
-                         ids=[c[0] for c in VOLTAGES])
+@pytest.mark.parametrize("name, joint, coefficients, grid, tolerance", VOLTAGES, ids=[c[0] for c in VOLTAGES])
 def test_column_is_the_voltage_that_is_missing(plain, name, joint, coefficients, grid, tolerance):
     choose = at(name, joint, grid)
     values = choose(plain).values(np.array(coefficients))
@@ -188,14 +186,18 @@ def compare(missing, expected, signals, tolerance, start=0.05):
     """Both through the screening's filter, without the ends, agree within a share of the size."""
     inside = slice(int(start / STEP), -200)
     missing, expected = (smoothed(values, signals)[inside] for values in (missing, expected))
-    size = np.sqrt((expected ** 2).mean(axis=0)).max()
+    size = np.sqrt((expected**2).mean(axis=0)).max()
     error = np.sqrt(((missing - expected) ** 2).mean(axis=0)).max()
     assert error < tolerance * size, f"{error / size:.3g} of {size:.3g} V"
 
 
-@pytest.mark.parametrize("name, joint, effect, parameter, true", [
-    ("voltage_saturation", 1, "voltage_saturation:joint=2,voltage=19", "voltage", 19.0),
-    ("current_limit", 2, "current_limit:joint=3,current=2", "current", 2.0)])
+@pytest.mark.parametrize(
+    "name, joint, effect, parameter, true",
+    [
+        ("voltage_saturation", 1, "voltage_saturation:joint=2,voltage=19", "voltage", 19.0),
+        ("current_limit", 2, "current_limit:joint=3,current=2", "current", 2.0),
+    ],
+)
 def test_a_limit_is_found_by_two_columns(name, joint, effect, parameter, true):
     signals = as_signals(recorded(effect))
     missing = residual(signals)
@@ -203,8 +205,7 @@ def test_a_limit_is_found_by_two_columns(name, joint, effect, parameter, true):
     results = []
     for candidate in found:
         assert candidate.fixed and candidate.mean[0] == 1.0
-        columns = [smoothed(volts(signals, candidate, unit), signals)[100:-100, joint]
-                   for unit in np.eye(2)]
+        columns = [smoothed(volts(signals, candidate, unit), signals)[100:-100, joint] for unit in np.eye(2)]
         target = smoothed(missing, signals)[100:-100, joint]
         c = np.linalg.lstsq(np.stack(columns, axis=1), target, rcond=None)[0]
         error = target - np.stack(columns, axis=1) @ c
@@ -217,14 +218,12 @@ def test_a_limit_is_found_by_two_columns(name, joint, effect, parameter, true):
 
 def test_a_delay_is_a_delay_of_the_sensor_to_first_order(plain):
     """The tie that is always reported: what a lag of all sensors and a delay do looks alike."""
-    delay, = (c for c in SCREENINGS["input_delay"].candidates(plain, None)
-              if c.grid["time"] == 0.001)
+    (delay,) = (c for c in SCREENINGS["input_delay"].candidates(plain, None) if c.grid["time"] == 0.001)
     expected = smoothed(volts(plain, delay, [1.0]), plain, 6.0)[300:-300]
     for joint in range(3):
-        lag, = SCREENINGS["sensor_lag"].candidates(plain, joint)
+        (lag,) = SCREENINGS["sensor_lag"].candidates(plain, joint)
         column = smoothed(volts(plain, lag, [1.0]), plain, 6.0)[300:-300, joint]
-        cosine = column @ expected[:, joint] / (np.linalg.norm(column)
-                                                * np.linalg.norm(expected[:, joint]))
+        cosine = column @ expected[:, joint] / (np.linalg.norm(column) * np.linalg.norm(expected[:, joint]))
         assert cosine > 0.9
 
 
@@ -242,9 +241,8 @@ def sensed(run, joint, position, velocity, acceleration, **fields):
 @pytest.mark.parametrize("joint", [1, 2])
 def test_columns_of_an_encoder_offset(joint):
     run = recorded()
-    signals = sensed(run, joint, run.position[:, joint] + 0.04, run.velocity[:, joint],
-                     run.acceleration[:, joint])
-    candidate, = SCREENINGS["encoder_offset"].candidates(signals, joint)
+    signals = sensed(run, joint, run.position[:, joint] + 0.04, run.velocity[:, joint], run.acceleration[:, joint])
+    (candidate,) = SCREENINGS["encoder_offset"].candidates(signals, joint)
     assert candidate.values(np.array([0.04])) == {"angle": 0.04}
     compare(residual(signals), volts(signals, candidate, [0.04]), signals, 0.06)
 
@@ -263,8 +261,13 @@ def test_columns_of_a_sensor_that_is_not_straight(plain):
     angle = w * q + values["phase"]
     a = values["amplitude"]
     assert a == pytest.approx(0.0015)
-    signals = sensed(run, joint, q + a * np.sin(angle), qd * (1.0 + a * w * np.cos(angle)),
-                     qdd * (1.0 + a * w * np.cos(angle)) - a * w * w * qd ** 2 * np.sin(angle))
+    signals = sensed(
+        run,
+        joint,
+        q + a * np.sin(angle),
+        qd * (1.0 + a * w * np.cos(angle)),
+        qdd * (1.0 + a * w * np.cos(angle)) - a * w * w * qd**2 * np.sin(angle),
+    )
     compare(residual(signals), volts(signals, choose(signals), [0.0012, -0.0009]), signals, 0.05)
 
 
@@ -273,7 +276,7 @@ def test_column_of_a_lagging_sensor():
     run = recorded()
     motion = [lagged(v[:, joint], T) for v in (run.position, run.velocity, run.acceleration)]
     signals = sensed(run, joint, *motion)
-    candidate, = SCREENINGS["sensor_lag"].candidates(signals, joint)
+    (candidate,) = SCREENINGS["sensor_lag"].candidates(signals, joint)
     assert candidate.values(np.array([T])) == {"time_constant": T}
     compare(residual(signals), volts(signals, candidate, [T]), signals, 0.05)
 

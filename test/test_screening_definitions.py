@@ -24,8 +24,9 @@ def plain():
     """Signals of the arm without effects; a residual for what looks at it."""
     run = recorded()
     wave = np.sin(np.arange(len(run.time)) ** 1.1)
-    return signals_of(run.time, run.voltage, run.position, run.velocity, run.acceleration,
-                      residual=wave[:, None] * np.ones(3))
+    return signals_of(
+        run.time, run.voltage, run.position, run.velocity, run.acceleration, residual=wave[:, None] * np.ones(3)
+    )
 
 
 def cut(signals: Signals, rows=slice(None), joints=None, **changes) -> Signals:
@@ -65,9 +66,12 @@ def test_definition_is_whole(name):
 
 def test_look_alikes_know_each_other():
     """Whoever may be mistaken for another has an answer when the other is named."""
-    missing = [(other, name) for name, screening in SCREENINGS.items()
-               for other, _ in screening.look_alikes
-               if name not in {n for n, _ in SCREENINGS[other].look_alikes}]
+    missing = [
+        (other, name)
+        for name, screening in SCREENINGS.items()
+        for other, _ in screening.look_alikes
+        if name not in {n for n, _ in SCREENINGS[other].look_alikes}
+    ]
     assert missing == []
 
 
@@ -94,9 +98,20 @@ def test_candidates_are_numbers_that_the_model_takes(plain, name):
 
 
 #: what acts on an arm at rest too
-SEEN_AT_REST = {"voltage_offset", "joint_spring", "payload", "base_tilt", "encoder_offset",
-                "resistance_drift", "voltage_dead_band", "supply_droop", "voltage_saturation",
-                "current_limit", "input_delay", "impulse"}
+SEEN_AT_REST = {
+    "voltage_offset",
+    "joint_spring",
+    "payload",
+    "base_tilt",
+    "encoder_offset",
+    "resistance_drift",
+    "voltage_dead_band",
+    "supply_droop",
+    "voltage_saturation",
+    "current_limit",
+    "input_delay",
+    "impulse",
+}
 
 
 @pytest.mark.parametrize("name", [name for name in SCREENINGS if name not in SEEN_AT_REST])
@@ -119,15 +134,23 @@ def test_stretches_of_a_log_do_not_touch_each_other(plain):
         candidates = SCREENINGS[name].candidates
         whole = candidates(broken, joint)[n].columns[0][0]
         for rows in (slice(0, half), slice(half, None)):
-            assert np.array_equal(candidates(cut(plain, rows), joint)[n].columns[0][0],
-                                  whole[rows])
+            assert np.array_equal(candidates(cut(plain, rows), joint)[n].columns[0][0], whole[rows])
 
 
 def test_one_joint_with_a_current_controlled_amplifier(plain):
     """Effects of arms are not offered; all others have finite columns and legal means."""
-    single = cut(plain, joints=[0], lag=np.zeros(1), emf=np.zeros(1), gear=np.ones(1),
-                 ranges=plain.ranges[:1], gravity_tilt=None, payload_torque=None, inertia=None,
-                 position_gradient=None)
+    single = cut(
+        plain,
+        joints=[0],
+        lag=np.zeros(1),
+        emf=np.zeros(1),
+        gear=np.ones(1),
+        ranges=plain.ranges[:1],
+        gravity_tilt=None,
+        payload_torque=None,
+        inertia=None,
+        position_gradient=None,
+    )
     offered = set()
     for name, screening in SCREENINGS.items():
         for candidate in screening.candidates(single, None if name in WHOLE_ARM else 0):
@@ -136,8 +159,15 @@ def test_one_joint_with_a_current_controlled_amplifier(plain):
             for column in candidate.columns:
                 assert set(column) == {0} and np.isfinite(column[0]).all()
     assert {"payload", "base_tilt", "current_limit", "encoder_offset"}.isdisjoint(offered)
-    assert {"coulomb_friction", "presliding_friction", "backlash", "joint_elasticity",
-            "input_delay", "soft_stop", "joint_spring"} <= offered
+    assert {
+        "coulomb_friction",
+        "presliding_friction",
+        "backlash",
+        "joint_elasticity",
+        "input_delay",
+        "soft_stop",
+        "joint_spring",
+    } <= offered
 
 
 def test_ties_that_no_log_can_break_are_sentences():
@@ -149,19 +179,19 @@ def test_compiled_and_plain_python_give_the_same_bits():
     torque, inertia = 20.0 * rng.standard_normal(200), 3.0 + rng.random(200)
     flow = 0.5 * rng.standard_normal((200, 4))
     for function, arguments in (
-            (recursion, (rng.random(200), torque, 0.3)),
-            (transmission._swing, (flow, torque / 2e4, 1e-3, 2e-3, 0.1)),
-            (transmission._knock, (torque, inertia, 2e-4, 5, 5e-4, 2e5, 900.0, 4.0))):
+        (recursion, (rng.random(200), torque, 0.3)),
+        (transmission._swing, (flow, torque / 2e4, 1e-3, 2e-3, 0.1)),
+        (transmission._knock, (torque, inertia, 2e-4, 5, 5e-4, 2e5, 900.0, 4.0)),
+    ):
         assert np.array_equal(function(*arguments), interpreted(function)(*arguments))
 
 
 def test_smooth_sign_and_derivative(plain):
     v = np.array([-1.0, -0.02, 0.0, 0.02, 1.0])
-    assert smooth_sign(v, 0.01) == pytest.approx([-1.0, -0.5 ** 0.5, 0.0, 0.5 ** 0.5, 1.0],
-                                                 abs=2e-4)
+    assert smooth_sign(v, 0.01) == pytest.approx([-1.0, -(0.5**0.5), 0.0, 0.5**0.5, 1.0], abs=2e-4)
     assert np.array_equal(smooth_sign(np.zeros(3), 0.0), np.zeros(3))
     t = plain.time
-    assert derivative(3.0 * t ** 2, plain) == pytest.approx(6.0 * t, abs=1e-9)
+    assert derivative(3.0 * t**2, plain) == pytest.approx(6.0 * t, abs=1e-9)
 
 
 def test_reference_is_what_it_says():

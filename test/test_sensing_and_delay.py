@@ -23,8 +23,11 @@ from puma_sim_core.sensed import settled_positions, true_motion
 from puma_sim_core.session import Session, SessionConfig
 from puma_sim_core.simulator import SERVO_PERIOD, Constraint, Simulator
 
-CURVED = ("sensor_nonlinearity:joint=1,amplitude=0.02,period=0.9,phase=0.4",
-          "encoder_offset:joint=1,angle=0.05", "sensor_lag:joint=1,time_constant=0.03")
+CURVED = (
+    "sensor_nonlinearity:joint=1,amplitude=0.02,period=0.9,phase=0.4",
+    "encoder_offset:joint=1,angle=0.05",
+    "sensor_lag:joint=1,time_constant=0.03",
+)
 
 
 def simulator_of(*effects, start=START, **options):
@@ -39,31 +42,31 @@ def simulator_of(*effects, start=START, **options):
 def test_offset_and_curve_are_added_to_the_true_position():
     time, volts = smooth_voltages((9.0, 12.0, 7.0), 0.5)
     true = simulator_of().run(time, volts)
-    simulator = simulator_of("encoder_offset:joint=2,angle=0.03",
-                             "sensor_nonlinearity:joint=3,amplitude=0.01,period=0.5,phase=1")
+    simulator = simulator_of(
+        "encoder_offset:joint=2,angle=0.03", "sensor_nonlinearity:joint=3,amplitude=0.01,period=0.5,phase=1"
+    )
     seen = simulator.run(time, volts)
     assert bits(seen.velocity) == bits(true.velocity) and bits(seen.current) == bits(true.current)
     assert bits(simulator.state[:3]) == bits(true.position[-1])
     assert bits(seen.position[:, 0]) == bits(true.position[:, 0])
     assert bits(seen.position[:, 1]) == bits(true.position[:, 1] + 0.03)
     q = true.position[:, 2]
-    np.testing.assert_allclose(seen.position[:, 2], q + 0.01 * np.sin(2 * np.pi * q / 0.5 + 1),
-                               rtol=0, atol=1e-15)
+    np.testing.assert_allclose(seen.position[:, 2], q + 0.01 * np.sin(2 * np.pi * q / 0.5 + 1), rtol=0, atol=1e-15)
     assert bits(simulator.measured) == bits(seen.position[-1])
 
 
 @pytest.mark.parametrize("lag", [1e-5, 0.002, 0.03, 5.0])
 def test_a_lag_follows_a_uniform_motion_as_its_equation_says(lag):
-    simulator = Simulator(plant_of(f"sensor_lag:joint=1,time_constant={lag}"),
-                          constraints=(Constraint("acceleration", 3.0), HOLD, HOLD))
+    simulator = Simulator(
+        plant_of(f"sensor_lag:joint=1,time_constant={lag}"), constraints=(Constraint("acceleration", 3.0), HOLD, HOLD)
+    )
     simulator.reset((0.2, 0, 0), (0.5, 0, 0))
     time = np.linspace(0.0, 0.5, 40)
     seen = simulator.run(time, np.zeros((40, 3))).position[:, 0]
-    q = 0.2 + 0.5 * time + 1.5 * time ** 2
+    q = 0.2 + 0.5 * time + 1.5 * time**2
     # q - T qd + T^2 qdd, and what is left of the rest at the start
-    expected = (q - lag * (0.5 + 3.0 * time) + 3.0 * lag ** 2
-                + (0.5 * lag - 3.0 * lag ** 2) * np.exp(-time / lag))
-    np.testing.assert_allclose(seen, expected, rtol=0, atol=1e-12 * max(1.0, lag ** 2))
+    expected = q - lag * (0.5 + 3.0 * time) + 3.0 * lag**2 + (0.5 * lag - 3.0 * lag**2) * np.exp(-time / lag)
+    np.testing.assert_allclose(seen, expected, rtol=0, atol=1e-12 * max(1.0, lag**2))
 
 
 def test_curve_offset_and_lag_together_agree_with_an_integration():
@@ -71,14 +74,16 @@ def test_curve_offset_and_lag_together_agree_with_an_integration():
         return q + 0.05 + 0.02 * np.sin(2 * np.pi * q / 0.9 + 0.4)
 
     def q(t):
-        return 0.2 + 0.5 * t + 1.5 * t ** 2
+        return 0.2 + 0.5 * t + 1.5 * t**2
 
-    truth = solve_ivp(lambda t, m: (chain(q(t)) - m) / 0.03, (0.0, 0.5), [chain(0.2)],
-                      rtol=1e-11, atol=1e-12, max_step=0.005).y[0, -1]
+    truth = solve_ivp(
+        lambda t, m: (chain(q(t)) - m) / 0.03, (0.0, 0.5), [chain(0.2)], rtol=1e-11, atol=1e-12, max_step=0.005
+    ).y[0, -1]
     errors = []
     for n in (1, 4):
-        simulator = Simulator(plant_of(*CURVED), max_step=SERVO_PERIOD / n,
-                              constraints=(Constraint("acceleration", 3.0), HOLD, HOLD))
+        simulator = Simulator(
+            plant_of(*CURVED), max_step=SERVO_PERIOD / n, constraints=(Constraint("acceleration", 3.0), HOLD, HOLD)
+        )
         simulator.reset((0.2, 0, 0), (0.5, 0, 0))
         simulator.step((0, 0, 0), 0.5)
         errors.append(abs(simulator.measured[0] - truth))
@@ -101,8 +106,11 @@ def test_the_true_motion_is_found_behind_the_sensors(q, qd, qdd):
 
 def test_the_servo_drives_the_measured_position_to_its_setpoint():
     target = np.array([0.3, -1.0, 0.7])
-    effects = ("encoder_offset:joint=1,angle=0.05", "encoder_offset:joint=3,angle=-0.02",
-               "sensor_lag:joint=2,time_constant=0.002")
+    effects = (
+        "encoder_offset:joint=1,angle=0.05",
+        "encoder_offset:joint=3,angle=-0.02",
+        "sensor_lag:joint=2,time_constant=0.002",
+    )
     simulator = simulator_of(*effects, start=(target,))
     run = simulator.run_servo(np.tile(target, (250, 1)), ServoConfig())
     np.testing.assert_allclose(run.position[-1], target, rtol=0, atol=2e-5)
@@ -142,7 +150,7 @@ def test_what_is_on_its_way_goes_on_from_run_to_run(delay, cuts):
     edges = [0, *sorted(cuts), len(time) - 1]
     for first, last in zip(edges[:-1], edges[1:]):
         # each with a clock of its own
-        parts.run(time[first:last + 1] - time[first], volts[first:last + 1])
+        parts.run(time[first : last + 1] - time[first], volts[first : last + 1])
     np.testing.assert_allclose(parts.state[:3], end, rtol=0, atol=1e-12)
     steps = simulator_of(effect)
     for row, length in zip(volts[:-1], np.diff(time)):
@@ -157,7 +165,7 @@ def test_a_delay_of_whole_samples_is_that_of_the_servo():
         servo = simulator_of().run_servo(setpoint, ServoConfig(delay_samples=samples))
         assert bits(ours.position) == bits(servo.position)
         # what is asked for is what arrives that much later
-        assert bits(ours.voltage[:-1 - samples]) == bits(servo.voltage[samples:-1])
+        assert bits(ours.voltage[: -1 - samples]) == bits(servo.voltage[samples:-1])
 
 
 @pytest.mark.parametrize("delay", [0.0004, 0.0021])
@@ -167,8 +175,13 @@ def test_servo_and_controllers_see_the_same_delay_and_sensors(delay):
     servo = ServoConfig(encoder_counts=1000, delay_samples=1)
     ours = simulator_of(*effects).run_servo(setpoint, servo)
     limit = 40.0
-    pid = Pid(servo.gains, SERVO_PERIOD, limit=limit, anti_windup=servo.anti_windup,
-              on_measurement=servo.derivative_on_measurement)
+    pid = Pid(
+        servo.gains,
+        SERVO_PERIOD,
+        limit=limit,
+        anti_windup=servo.anti_windup,
+        on_measurement=servo.derivative_on_measurement,
+    )
     theirs = simulator_of(*effects).run_controller(pid, setpoint, chain=servo)
     assert bits(ours.position) == bits(theirs.position)
     assert bits(ours.voltage) == bits(theirs.voltage)
@@ -193,11 +206,14 @@ def test_a_servo_takes_over_what_a_run_left_on_its_way():
 # ------------------------------------------------------------------------------------- windows
 
 
-@pytest.mark.parametrize("effects", [
-    ("input_delay:time=0.0045",),
-    (*CURVED, "encoder_offset:joint=2,angle=0.05", "base_tilt:x=0.05"),
-    ("resistance_drift:joint=2,share=1,time_constant=0.3",),
-])
+@pytest.mark.parametrize(
+    "effects",
+    [
+        ("input_delay:time=0.0045",),
+        (*CURVED, "encoder_offset:joint=2,angle=0.05", "base_tilt:x=0.05"),
+        ("resistance_drift:joint=2,share=1,time_constant=0.3",),
+    ],
+)
 def test_windows_of_a_log_start_from_the_state_behind_its_measurements(effects):
     time, volts = smooth_voltages((9.0, 12.0, 7.0), 1.6, row=0.004)
     simulator = simulator_of(*effects, start=((0.1, -1.2, 0.9),))
@@ -216,31 +232,41 @@ def test_windows_of_a_log_start_from_the_state_behind_its_measurements(effects):
 
 
 def config_of(interface, controller="pid"):
-    return SessionConfig(plant_of(*LIBRARY, "torque_ripple:joint=2,amplitude=3,order=1",
-                                  "voltage_dead_band:joint=1,voltage=0.3"),
-                         interface, initial_position=(0.1, -1.1, 0.9), voltage_limit=30.0,
-                         command_timeout=0.2, controller=controller,
-                         servo=ServoConfig(encoder_counts=1000))
+    return SessionConfig(
+        plant_of(*LIBRARY, "torque_ripple:joint=2,amplitude=3,order=1", "voltage_dead_band:joint=1,voltage=0.3"),
+        interface,
+        initial_position=(0.1, -1.1, 0.9),
+        voltage_limit=30.0,
+        command_timeout=0.2,
+        controller=controller,
+        servo=ServoConfig(encoder_counts=1000),
+    )
 
 
 def commanded(session, step, random):
     if step < 15 or step > 24:  # a pause lets the watchdog act
-        low, high = ((-20, 20) if session.config.command_interface == "voltage" else (-0.05, 0.05))
+        low, high = (-20, 20) if session.config.command_interface == "voltage" else (-0.05, 0.05)
         centre = np.zeros(3) if low < -1 else np.array([0.1, -1.1, 0.9])
         return [tuple((centre + random.uniform(low, high, 3)).tolist())]
     return []
 
 
-@pytest.mark.parametrize("interface, controller", [("voltage", "pid"), ("position", "pid"),
-                                                   ("position", "computed_torque")])
+@pytest.mark.parametrize(
+    "interface, controller", [("voltage", "pid"), ("position", "pid"), ("position", "computed_torque")]
+)
 def test_a_bag_replays_to_the_last_bit(interface, controller, tmp_path):
     config = config_of(interface, controller)
     session, random = Session(config), np.random.default_rng(8)
     assert session.config.plant.constants.active & SENSED
     states = []
-    with BagRecorder(tmp_path / "bag", config_text=yaml_text(config.to_mapping()),
-                     joint_names=config.joint_names, frame_id=config.frame_id,
-                     command_interface=interface, period_ns=config.period_ns) as recorder:
+    with BagRecorder(
+        tmp_path / "bag",
+        config_text=yaml_text(config.to_mapping()),
+        joint_names=config.joint_names,
+        frame_id=config.frame_id,
+        command_interface=interface,
+        period_ns=config.period_ns,
+    ) as recorder:
         for step in range(41):
             recorder.write_state(session.state)
             states.append(session.state)
@@ -292,8 +318,14 @@ def test_a_session_under_the_servo_is_the_run_of_its_setpoints():
 
 
 def test_the_watchdog_of_a_session_holds_the_arm_where_it_measures_it():
-    session = Session(SessionConfig(plant_of("encoder_offset:joint=1,angle=0.3"), "position",
-                                    initial_position=(0.1, -1.1, 0.9), command_timeout=0.1))
+    session = Session(
+        SessionConfig(
+            plant_of("encoder_offset:joint=1,angle=0.3"),
+            "position",
+            initial_position=(0.1, -1.1, 0.9),
+            command_timeout=0.1,
+        )
+    )
     assert session.state.position[0] == pytest.approx(0.4, abs=1e-15)
     for _ in range(60):
         session.step()

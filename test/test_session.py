@@ -17,9 +17,14 @@ from puma_sim_core.errors import CommandError, NonFiniteStateError
 from puma_sim_core.session import Session, SessionConfig
 from puma_sim_core.simulator import SERVO_PERIOD, Simulator
 
-EFFECTS = ("coulomb_friction:joint=1,torque=12", "presliding_friction:joint=3,torque=6",
-           "stribeck_friction:joint=1,torque=4", "viscous_friction:joint=2,coefficient=9.5",
-           "current_limit:joint=2,current=7.25", "payload:mass=1.1")
+EFFECTS = (
+    "coulomb_friction:joint=1,torque=12",
+    "presliding_friction:joint=3,torque=6",
+    "stribeck_friction:joint=1,torque=4",
+    "viscous_friction:joint=2,coefficient=9.5",
+    "current_limit:joint=2,current=7.25",
+    "payload:mass=1.1",
+)
 POSITION = (0.1, -1.1, 0.9)
 
 
@@ -32,8 +37,7 @@ def position_config(*effects, **changes):
 
 
 def all_bits(state):
-    return state.step, state.time_ns, bits([state.position, state.velocity, state.current,
-                                            state.voltage, state.effort])
+    return state.step, state.time_ns, bits([state.position, state.velocity, state.current, state.voltage, state.effort])
 
 
 # ------------------------------------------------------------------------------------- stepping
@@ -68,8 +72,7 @@ def test_effort_is_the_torque_of_the_motors_at_the_joints():
     session.command((5.0, -4.0, 3.0))
     for _ in range(5):
         state = session.step()
-    expected = [i * m.torque_constant * m.gear_ratio
-                for i, m in zip(state.current, arm_of("bejczy").motors)]
+    expected = [i * m.torque_constant * m.gear_ratio for i, m in zip(state.current, arm_of("bejczy").motors)]
     np.testing.assert_allclose(state.effort, expected, rtol=1e-14)
 
 
@@ -145,9 +148,19 @@ def test_setpoints_beyond_the_range_of_a_joint_are_clipped_and_counted():
     assert session.state.position[0] == pytest.approx(high, abs=5e-3)
 
 
-@pytest.mark.parametrize("values", [
-    (1.0, 2.0), (1.0, 2.0, 3.0, 4.0), (), (1.0, math.nan, 3.0), (1.0, 2.0, math.inf),
-    (1.0, None, 3.0), ("a", "b", "c"), ([1.0], [2.0], [3.0])])
+@pytest.mark.parametrize(
+    "values",
+    [
+        (1.0, 2.0),
+        (1.0, 2.0, 3.0, 4.0),
+        (),
+        (1.0, math.nan, 3.0),
+        (1.0, 2.0, math.inf),
+        (1.0, None, 3.0),
+        ("a", "b", "c"),
+        ([1.0], [2.0], [3.0]),
+    ],
+)
 def test_a_refused_command_leaves_the_last_good_one_and_its_age(values):
     session = Session(config_of())
     session.command((3.0, 4.0, 5.0))
@@ -174,13 +187,16 @@ def test_some_joints_may_be_commanded_by_name_and_the_others_keep_theirs():
         assert all_bits(session.step()) == all_bits(full.step())
 
 
-@pytest.mark.parametrize("names, values, message", [
-    (("joint1", "wrist"), (0.1, 0.2), "unknown joint 'wrist'; expected some of joint1, joint2"),
-    (("joint1", "joint1"), (0.1, 0.2), "joint 'joint1' stands twice; expected each joint once"),
-    (("joint1", "joint2"), (0.1,), "expected 2 finite numbers"),
-    (("joint1",), (math.nan,), "expected 1 finite numbers"),
-    ((), (), "no joint names; expected some of joint1"),
-])
+@pytest.mark.parametrize(
+    "names, values, message",
+    [
+        (("joint1", "wrist"), (0.1, 0.2), "unknown joint 'wrist'; expected some of joint1, joint2"),
+        (("joint1", "joint1"), (0.1, 0.2), "joint 'joint1' stands twice; expected each joint once"),
+        (("joint1", "joint2"), (0.1,), "expected 2 finite numbers"),
+        (("joint1",), (math.nan,), "expected 1 finite numbers"),
+        ((), (), "no joint names; expected some of joint1"),
+    ],
+)
 def test_commands_by_name_that_cannot_be_used_are_named(names, values, message):
     session = Session(position_config())
     with pytest.raises(CommandError, match=message):
@@ -280,8 +296,7 @@ def test_converter_and_amplifier_show_in_the_volts():
     for k in range(30):
         session.command((0.1 + 0.01 * k, POSITION[1], POSITION[2]))
         volts = session.step().voltage
-        np.testing.assert_allclose(np.array(volts) / step, np.round(np.array(volts) / step),
-                                   atol=1e-9)
+        np.testing.assert_allclose(np.array(volts) / step, np.round(np.array(volts) / step), atol=1e-9)
         seen.update(volts)
     assert len(seen) > 10
 

@@ -23,15 +23,34 @@ triple = st.tuples(finite, finite, finite)
 
 
 @settings(max_examples=60)
-@given(initial=triple, velocity=triple, current=triple, period=st.floats(1e-4, 0.2),
-       limit=st.floats(1e-3, 1e3), timeout=st.floats(0, 100), gain=st.floats(0, 1e5),
-       bits_=st.none() | st.integers(2, 32), interface=st.sampled_from(("voltage", "position")))
-def test_configuration_survives_its_text_exactly(initial, velocity, current, period, limit, timeout,
-                                                 gain, bits_, interface):
+@given(
+    initial=triple,
+    velocity=triple,
+    current=triple,
+    period=st.floats(1e-4, 0.2),
+    limit=st.floats(1e-3, 1e3),
+    timeout=st.floats(0, 100),
+    gain=st.floats(0, 1e5),
+    bits_=st.none() | st.integers(2, 32),
+    interface=st.sampled_from(("voltage", "position")),
+)
+def test_configuration_survives_its_text_exactly(
+    initial, velocity, current, period, limit, timeout, gain, bits_, interface
+):
     config = SessionConfig(
-        plant_of(*EFFECTS), interface, period, 30, limit, timeout, initial, velocity, current,
+        plant_of(*EFFECTS),
+        interface,
+        period,
+        30,
+        limit,
+        timeout,
+        initial,
+        velocity,
+        current,
         ServoConfig((PidGains(gain), PidGains(gain, 0.1), PidGains(gain, 0.1, 0.2)), 1.5, bits_),
-        ("a", "joint2", "ä"), "world")
+        ("a", "joint2", "ä"),
+        "world",
+    )
     text = yaml_text(config.to_mapping())
     again = SessionConfig.from_mapping(parse_yaml(text, "bag"), "bag")
     assert again == config
@@ -50,23 +69,26 @@ def test_sessions_of_equal_configurations_are_equal_bit_for_bit():
         assert all_bits(one.step()) == all_bits(other.step())
 
 
-@pytest.mark.parametrize("changes, message", [
-    (dict(command_interface="torque"), "command_interface 'torque'; expected voltage or position"),
-    (dict(period=0.0), "period 0.0 s; expected more than 0"),
-    (dict(period=math.nan), "period nan s"),
-    (dict(substeps=0), "substeps 0; expected a whole number of at least 1"),
-    (dict(substeps=30.0), "substeps 30.0"),
-    (dict(substeps=3), "period / substeps: 9.33333 ms; expected more than 0 and at most 8 ms"),
-    (dict(voltage_limit=0.0), "voltage_limit 0.0 V; expected a positive number"),
-    (dict(voltage_limit=math.inf), "voltage_limit inf V"),
-    (dict(command_timeout=-1.0), "command_timeout -1.0 s; expected 0 or more"),
-    (dict(initial_position=(0.0, 0.0)), "initial_position = .*; expected three finite numbers"),
-    (dict(initial_velocity=(0.0, 0.0, math.nan)), "initial_velocity"),
-    (dict(initial_current=None), "initial_current"),
-    (dict(joint_names=("a", "b")), "joint_names .*; expected three different names"),
-    (dict(joint_names=("a", "b", "a")), "joint_names"),
-    (dict(joint_names=("a", "b", 3)), "joint_names"),
-])
+@pytest.mark.parametrize(
+    "changes, message",
+    [
+        (dict(command_interface="torque"), "command_interface 'torque'; expected voltage or position"),
+        (dict(period=0.0), "period 0.0 s; expected more than 0"),
+        (dict(period=math.nan), "period nan s"),
+        (dict(substeps=0), "substeps 0; expected a whole number of at least 1"),
+        (dict(substeps=30.0), "substeps 30.0"),
+        (dict(substeps=3), "period / substeps: 9.33333 ms; expected more than 0 and at most 8 ms"),
+        (dict(voltage_limit=0.0), "voltage_limit 0.0 V; expected a positive number"),
+        (dict(voltage_limit=math.inf), "voltage_limit inf V"),
+        (dict(command_timeout=-1.0), "command_timeout -1.0 s; expected 0 or more"),
+        (dict(initial_position=(0.0, 0.0)), "initial_position = .*; expected three finite numbers"),
+        (dict(initial_velocity=(0.0, 0.0, math.nan)), "initial_velocity"),
+        (dict(initial_current=None), "initial_current"),
+        (dict(joint_names=("a", "b")), "joint_names .*; expected three different names"),
+        (dict(joint_names=("a", "b", "a")), "joint_names"),
+        (dict(joint_names=("a", "b", 3)), "joint_names"),
+    ],
+)
 def test_configurations_that_cannot_be_used_are_named(changes, message):
     with pytest.raises(ParameterError, match=message):
         config_of(**changes)
@@ -77,19 +99,20 @@ def test_configurations_that_cannot_be_used_are_named(changes, message):
     assert str(caught.value).startswith("the bag")
 
 
-@pytest.mark.parametrize("change, message", [
-    (dict(format="puma-sim session 2"), "session format 'puma-sim session 2'; expected 'puma-"),
-    (dict(colour="red"), "colour"),
-    (dict(model=None), "no model"),
-    (dict(servo={"speed": 3}), "servo: .*speed"),
-    (dict(servo=7), "servo"),
-    (dict(period="fast"), "expected"),
-])
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        (dict(format="puma-sim session 2"), "session format 'puma-sim session 2'; expected 'puma-"),
+        (dict(colour="red"), "colour"),
+        (dict(model=None), "no model"),
+        (dict(servo={"speed": 3}), "servo: .*speed"),
+        (dict(servo=7), "servo"),
+        (dict(period="fast"), "expected"),
+    ],
+)
 def test_mappings_that_cannot_be_rebuilt_are_named(change, message):
     with pytest.raises(ModelError, match=message):
         SessionConfig.from_mapping({**config_of().to_mapping(), **change})
     for nothing in (None, [], "text", {}):
         with pytest.raises(ModelError, match="session format"):
             SessionConfig.from_mapping(nothing)
-
-

@@ -46,9 +46,11 @@ def test_a_session_is_the_simulator_under_the_same_controller(kind, servo, effec
     simulator = Simulator(config.plant)
     simulator.reset(POSITION)
     run = simulator.run_controller(
-        make_controller(kind, config.plant, voltage_limit=30.0,
-                        amplifier_gain=servo.amplifier_gain),
-        TARGETS, voltage_limit=30.0, chain=servo)
+        make_controller(kind, config.plant, voltage_limit=30.0, amplifier_gain=servo.amplifier_gain),
+        TARGETS,
+        voltage_limit=30.0,
+        chain=servo,
+    )
     for k, state in enumerate(states[1:], start=1):
         assert bits(state.position) == bits(run.position[30 * k])
         assert bits(state.current) == bits(run.current[30 * k])
@@ -85,8 +87,7 @@ def test_a_record_of_a_session_makes_an_equal_one(kind):
     text = yaml_text(config.to_mapping())
     again = SessionConfig.from_mapping(parse_yaml(text, "bag"), "bag")
     assert again == config and yaml_text(again.to_mapping()) == text
-    assert list(map(all_bits, driven(Session(again)))) == \
-        list(map(all_bits, driven(Session(config))))
+    assert list(map(all_bits, driven(Session(again)))) == list(map(all_bits, driven(Session(config))))
     other = position_config(*EFFECTS, controller=kind)
     assert other != config
     assert all_bits(driven(Session(other))[-1]) != all_bits(driven(Session(config))[-1])
@@ -109,16 +110,23 @@ def test_a_session_without_the_key_is_one_with_pid():
     assert SessionConfig.from_mapping({**mapping, "controller": "pid"}) == config
 
 
-@pytest.mark.parametrize("changes, message", [
-    (dict(controller="pd"), "controller 'pd'; expected pid or scheduled or computed_torque"),
-    (dict(controller="scheduled", command_interface="voltage"),
-     "controller 'scheduled'; expected pid, or command_interface position"),
-    (dict(controller_settings={}), "controller_settings of controller 'pid'; expected none"),
-    (dict(controller="scheduled", controller_settings={}), "derivative_on_measurement = None"),
-    (dict(controller="scheduled", controller_settings=7), "settings 7; expected a mapping"),
-    (dict(controller="computed_torque", controller_settings={"bandwidth": 1.0}),
-     "keys bandwidth; expected bandwidth, velocity_filter"),
-])
+@pytest.mark.parametrize(
+    "changes, message",
+    [
+        (dict(controller="pd"), "controller 'pd'; expected pid or scheduled or computed_torque"),
+        (
+            dict(controller="scheduled", command_interface="voltage"),
+            "controller 'scheduled'; expected pid, or command_interface position",
+        ),
+        (dict(controller_settings={}), "controller_settings of controller 'pid'; expected none"),
+        (dict(controller="scheduled", controller_settings={}), "derivative_on_measurement = None"),
+        (dict(controller="scheduled", controller_settings=7), "settings 7; expected a mapping"),
+        (
+            dict(controller="computed_torque", controller_settings={"bandwidth": 1.0}),
+            "keys bandwidth; expected bandwidth, velocity_filter",
+        ),
+    ],
+)
 def test_sessions_whose_controller_cannot_be_are_named(changes, message):
     with pytest.raises(ParameterError, match=message):
         config_of(**{"command_interface": "position", **changes})
@@ -132,9 +140,16 @@ def test_sessions_whose_controller_cannot_be_are_named(changes, message):
 def test_a_bag_replays_to_the_last_bit_with_either_kernel(kind, tmp_path):
     config = position_config(*EFFECTS, controller=kind, servo=SERVO)
     session = Session(config)
-    with BagRecorder(tmp_path / "bag", namespace="/", config_text=yaml_text(config.to_mapping()),
-                     urdf="<robot/>", joint_names=config.joint_names, frame_id=config.frame_id,
-                     command_interface="position", period_ns=config.period_ns) as recorder:
+    with BagRecorder(
+        tmp_path / "bag",
+        namespace="/",
+        config_text=yaml_text(config.to_mapping()),
+        urdf="<robot/>",
+        joint_names=config.joint_names,
+        frame_id=config.frame_id,
+        command_interface="position",
+        period_ns=config.period_ns,
+    ) as recorder:
         recorder.write_state(session.state)
         for target in TARGETS:
             recorder.write_command(session.state.time_ns, session.command(target))
@@ -142,6 +157,10 @@ def test_a_bag_replays_to_the_last_bit_with_either_kernel(kind, tmp_path):
     assert replay(tmp_path / "bag").identical
     root = Path(__file__).resolve().parent.parent
     done = subprocess.run(
-        [sys.executable, "-m", "puma_sim_core", "replay", str(tmp_path / "bag")], cwd=root,
-        env={**os.environ, "PUMA_SIM_KERNEL": "python"}, capture_output=True, text=True)
+        [sys.executable, "-m", "puma_sim_core", "replay", str(tmp_path / "bag")],
+        cwd=root,
+        env={**os.environ, "PUMA_SIM_KERNEL": "python"},
+        capture_output=True,
+        text=True,
+    )
     assert done.returncode == 0, done.stdout + done.stderr

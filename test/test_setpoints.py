@@ -27,8 +27,11 @@ def test_moves_start_and_end_where_they_should(shape, duration):
     np.testing.assert_allclose(np.diff(time), T, atol=1e-12)
     assert len(time) == 51
     assert (setpoint[:10] == START).all()
-    np.testing.assert_allclose(setpoint[time > 0.28 + duration - 1e-9], np.add(START, BY)
-                               + np.zeros((sum(time > 0.28 + duration - 1e-9), 1)), atol=1e-12)
+    np.testing.assert_allclose(
+        setpoint[time > 0.28 + duration - 1e-9],
+        np.add(START, BY) + np.zeros((sum(time > 0.28 + duration - 1e-9), 1)),
+        atol=1e-12,
+    )
 
 
 def test_a_step_is_in_the_setpoint_of_its_own_time():
@@ -39,10 +42,8 @@ def test_a_step_is_in_the_setpoint_of_its_own_time():
 
 def test_moves_add_up():
     time = np.linspace(0.0, 3.0, 50)
-    moves = [Move(0.1, 1.0, (1, 2, 3)), Move(0.5, 0.0, (1, 0, 0), "step"),
-             Move(1.0, 1.5, (0, -1, 0), "ramp")]
-    np.testing.assert_allclose(joint_path(START, moves, time),
-                               np.array(START) + sum(m.at(time) for m in moves))
+    moves = [Move(0.1, 1.0, (1, 2, 3)), Move(0.5, 0.0, (1, 0, 0), "step"), Move(1.0, 1.5, (0, -1, 0), "ramp")]
+    np.testing.assert_allclose(joint_path(START, moves, time), np.array(START) + sum(m.at(time) for m in moves))
     assert (joint_path(START, [], time) == START).all()
 
 
@@ -53,23 +54,26 @@ def test_the_shortest_quintic_is_within_its_bounds_and_reaches_one(by):
     path = Move(0.0, duration, by).at(time)
     h = time[1]
     speed = np.abs(np.diff(path, axis=0)).max(axis=0) / h / V
-    bend = np.abs(np.diff(path, n=2, axis=0)).max(axis=0) / h ** 2 / A
+    bend = np.abs(np.diff(path, n=2, axis=0)).max(axis=0) / h**2 / A
     greatest = max(speed.max(), bend.max())
     assert greatest == pytest.approx(1.0, abs=1e-3)
 
 
-@pytest.mark.parametrize("make, message", [
-    (lambda: Move(0.0, 1.0, BY, "jump"), "shape 'jump'; expected step or ramp or quintic"),
-    (lambda: Move(0.0, 1.0, BY, "step"), "expected times"),
-    (lambda: Move(0.0, 0.0, BY, "ramp"), "expected times"),
-    (lambda: Move(math.nan, 1.0, BY), "expected times"),
-    (lambda: Move(0.0, 1.0, (1.0, 2.0)), "by = .*; expected three finite numbers"),
-    (lambda: Move(0.0, 1.0, (1.0, 2.0, math.inf)), "three finite numbers"),
-    (lambda: joint_setpoints(START, [], 0.0), "duration = 0.0 s; expected a positive number"),
-    (lambda: joint_setpoints(START, [], 1.0, -1.0), "period = -1.0 s"),
-    (lambda: quintic_duration((0, 0, 0), V, A), "expected a move, and positive bounds"),
-    (lambda: quintic_duration(BY, (1, 0, 1), A), "expected a move, and positive bounds"),
-])
+@pytest.mark.parametrize(
+    "make, message",
+    [
+        (lambda: Move(0.0, 1.0, BY, "jump"), "shape 'jump'; expected step or ramp or quintic"),
+        (lambda: Move(0.0, 1.0, BY, "step"), "expected times"),
+        (lambda: Move(0.0, 0.0, BY, "ramp"), "expected times"),
+        (lambda: Move(math.nan, 1.0, BY), "expected times"),
+        (lambda: Move(0.0, 1.0, (1.0, 2.0)), "by = .*; expected three finite numbers"),
+        (lambda: Move(0.0, 1.0, (1.0, 2.0, math.inf)), "three finite numbers"),
+        (lambda: joint_setpoints(START, [], 0.0), "duration = 0.0 s; expected a positive number"),
+        (lambda: joint_setpoints(START, [], 1.0, -1.0), "period = -1.0 s"),
+        (lambda: quintic_duration((0, 0, 0), V, A), "expected a move, and positive bounds"),
+        (lambda: quintic_duration(BY, (1, 0, 1), A), "expected a move, and positive bounds"),
+    ],
+)
 def test_moves_that_cannot_be_are_named(make, message):
     with pytest.raises(ParameterError, match=message):
         make()
@@ -80,8 +84,7 @@ def test_moves_that_cannot_be_are_named(make, message):
 
 def reference(path, **changes):
     """(time, position, velocity, acceleration) of joint 1 for setpoints path(t), from path(0)."""
-    made = SetpointReference(**{"samples": N, "setpoint_period": T, "velocity": V,
-                                "acceleration": A, **changes})
+    made = SetpointReference(**{"samples": N, "setpoint_period": T, "velocity": V, "acceleration": A, **changes})
     samples, rows = np.arange(60 * N), []
     start = (float(path(0.0)), 0.0, 0.0)
     for k in samples:
@@ -131,8 +134,7 @@ def test_velocity_is_the_slope_of_the_position(lead):
 @given(st.lists(st.floats(-2.0, 2.0), min_size=1, max_size=6))
 def test_whatever_the_setpoints_without_lead_the_bounds_hold(jumps):
     targets = np.repeat(jumps, 12)
-    _, position, velocity, acceleration = reference(
-        lambda t: targets[min(round(t / T), len(targets) - 1)], lead=0.0)
+    _, position, velocity, acceleration = reference(lambda t: targets[min(round(t / T), len(targets) - 1)], lead=0.0)
     assert np.abs(velocity).max() <= V[0] * (1 + 1e-9)
     assert np.abs(acceleration).max() <= A[0] * (1 + 1e-6)
     assert np.isfinite(position).all()
@@ -155,12 +157,16 @@ def test_a_reset_starts_where_the_arm_is():
     assert made.update((0.2, 0.3, 0.4), (0.2, 0.3, 0.4)) == [(0.2, 0, 0), (0.3, 0, 0), (0.4, 0, 0)]
 
 
-@pytest.mark.parametrize("changes, message", [
-    ({"samples": 0}, "0 samples in 0.028 s"), ({"setpoint_period": 0.0}, "30 samples in 0.0 s"),
-    ({"lead": 1.5}, "lead 1.5; expected 0 to 1"),
-    ({"velocity": (1.0, 0.0, 1.0)}, "greatest velocity .* three positive numbers"),
-    ({"acceleration": (1.0, 1.0)}, "greatest acceleration .* three positive numbers"),
-])
+@pytest.mark.parametrize(
+    "changes, message",
+    [
+        ({"samples": 0}, "0 samples in 0.028 s"),
+        ({"setpoint_period": 0.0}, "30 samples in 0.0 s"),
+        ({"lead": 1.5}, "lead 1.5; expected 0 to 1"),
+        ({"velocity": (1.0, 0.0, 1.0)}, "greatest velocity .* three positive numbers"),
+        ({"acceleration": (1.0, 1.0)}, "greatest acceleration .* three positive numbers"),
+    ],
+)
 def test_references_that_cannot_be_are_named(changes, message):
     with pytest.raises(ParameterError, match=message):
         reference(lambda t: 0.0, **changes)

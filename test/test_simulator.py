@@ -16,15 +16,20 @@ from hypothesis import strategies as st
 
 from puma_sim_core.control.servo import ServoConfig
 from puma_sim_core.errors import LimitError, NonFiniteStateError, ParameterError
-from puma_sim_core.simulator import (GREATEST_STEP, SERVO_PERIOD, Constraint, Limits, Simulator,
-                                     check_step)
+from puma_sim_core.simulator import GREATEST_STEP, SERVO_PERIOD, Constraint, Limits, Simulator, check_step
 
 #: every kind of effect at once
-EFFECTS = (*VISCOUS, "coulomb_friction:joint=1,torque=12",
-           "asymmetric_coulomb_friction:joint=2,positive=13.6,negative=7.65",
-           "stribeck_friction:joint=2,torque=5", "presliding_friction:joint=3,torque=6",
-           "voltage_saturation:joint=1,voltage=24", "current_limit:joint=3,current=3",
-           "soft_stop:joint=1,lower=-0.2,upper=0.3", "payload:mass=1.5")
+EFFECTS = (
+    *VISCOUS,
+    "coulomb_friction:joint=1,torque=12",
+    "asymmetric_coulomb_friction:joint=2,positive=13.6,negative=7.65",
+    "stribeck_friction:joint=2,torque=5",
+    "presliding_friction:joint=3,torque=6",
+    "voltage_saturation:joint=1,voltage=24",
+    "current_limit:joint=3,current=3",
+    "soft_stop:joint=1,lower=-0.2,upper=0.3",
+    "payload:mass=1.5",
+)
 NOTHING = (0.0, 0.0, 0.0)
 
 
@@ -35,8 +40,7 @@ def simulator_of(*effects, start=START, **options):
 
 
 def state_of(recording, row=-1):
-    return np.concatenate([recording.position[row], recording.velocity[row],
-                           recording.current[row]])
+    return np.concatenate([recording.position[row], recording.velocity[row], recording.current[row]])
 
 
 # ------------------------------------------------------------------------------ rows and steps
@@ -159,17 +163,20 @@ def test_servo_holds_the_arm_at_its_setpoint():
     np.testing.assert_allclose(run.position[-1], target, atol=2e-4)
 
 
-@pytest.mark.parametrize("arguments, message", [
-    (dict(setpoint=[[0.0, 0.0]]), r"setpoint of shape \(1, 2\)"),
-    (dict(setpoint=[[0.0, 0.0, math.nan]]), "finite"),
-    (dict(setpoint=np.zeros((0, 3))), "no setpoint"),
-    (dict(samples=0), "samples 0; expected a whole number"),
-    (dict(samples=1.5), "samples 1.5; expected a whole number"),
-    (dict(period=-0.028), "expected"),
-    (dict(period=math.nan), "expected"),
-    (dict(voltage_limit=-1.0), "voltage_limit -1.0 V; expected a positive number"),
-    (dict(voltage_limit=math.nan), "voltage_limit nan V"),
-])
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        (dict(setpoint=[[0.0, 0.0]]), r"setpoint of shape \(1, 2\)"),
+        (dict(setpoint=[[0.0, 0.0, math.nan]]), "finite"),
+        (dict(setpoint=np.zeros((0, 3))), "no setpoint"),
+        (dict(samples=0), "samples 0; expected a whole number"),
+        (dict(samples=1.5), "samples 1.5; expected a whole number"),
+        (dict(period=-0.028), "expected"),
+        (dict(period=math.nan), "expected"),
+        (dict(voltage_limit=-1.0), "voltage_limit -1.0 V; expected a positive number"),
+        (dict(voltage_limit=math.nan), "voltage_limit nan V"),
+    ],
+)
 def test_servo_arguments_that_cannot_be_used_are_refused(arguments, message):
     simulator = simulator_of()
     with pytest.raises(ParameterError, match=message):
@@ -181,16 +188,16 @@ def test_servo_arguments_that_cannot_be_used_are_refused(arguments, message):
 
 
 def test_limits_report_joint_quantity_time_and_value():
-    limits = Limits(position=((-1.0, 1.0), (-1.0, 1.0), (-1.0, 1.0)), velocity=(10.0, 0.1, 10.0),
-                    acceleration=(1e6, 1e6, 1e6))
+    limits = Limits(
+        position=((-1.0, 1.0), (-1.0, 1.0), (-1.0, 1.0)), velocity=(10.0, 0.1, 10.0), acceleration=(1e6, 1e6, 1e6)
+    )
     simulator = simulator_of(start=(NOTHING,), limits=limits)
     time = np.arange(0.0, 1.0, 0.01)
     run = simulator.run(time, np.tile((30.0, 0.0, 0.0), (100, 1)))
     first = time[np.argmax(run.position[:, 0] > 1.0)]
     found = simulator.exceeded
     value = run.position[run.time == first, 0][0]
-    assert any(f"joint 1: position {value:.7g} rad at {first:.6g} s is outside -1 to 1" in text
-               for text in found)
+    assert any(f"joint 1: position {value:.7g} rad at {first:.6g} s is outside -1 to 1" in text for text in found)
     assert any("joint 2: velocity" in text and "rad/s" in text for text in found)
     assert not any("acceleration" in text or "joint 3: velocity" in text for text in found)
     simulator.reset()
@@ -231,16 +238,19 @@ def test_runge_kutta_is_stable_at_8_ms_and_not_at_9():
     assert np.abs(simulator.state[3:]).max() < 5.0
 
 
-@pytest.mark.parametrize("time, voltage, message", [
-    ([0.0, 1.0], [NOTHING], "shape"),
-    ([[0.0]], [NOTHING], "shape"),
-    ([], np.zeros((0, 3)), "shape"),
-    ([0.0, 1.0], np.zeros((2, 2)), "shape"),
-    ([0.0, 0.0], np.zeros((2, 3)), "times that do not increase"),
-    ([1.0, 0.0], np.zeros((2, 3)), "times that do not increase"),
-    ([0.0, math.inf], np.zeros((2, 3)), "not finite"),
-    ([0.0, 1.0], [NOTHING, (0.0, math.nan, 0.0)], "not finite"),
-])
+@pytest.mark.parametrize(
+    "time, voltage, message",
+    [
+        ([0.0, 1.0], [NOTHING], "shape"),
+        ([[0.0]], [NOTHING], "shape"),
+        ([], np.zeros((0, 3)), "shape"),
+        ([0.0, 1.0], np.zeros((2, 2)), "shape"),
+        ([0.0, 0.0], np.zeros((2, 3)), "times that do not increase"),
+        ([1.0, 0.0], np.zeros((2, 3)), "times that do not increase"),
+        ([0.0, math.inf], np.zeros((2, 3)), "not finite"),
+        ([0.0, 1.0], [NOTHING, (0.0, math.nan, 0.0)], "not finite"),
+    ],
+)
 def test_rows_that_cannot_be_run_are_refused_before_anything_moves(time, voltage, message):
     simulator = simulator_of()
     with pytest.raises(ParameterError, match=message):
@@ -248,16 +258,19 @@ def test_rows_that_cannot_be_run_are_refused_before_anything_moves(time, voltage
     assert bits(simulator.state) == bits(np.concatenate(START))
 
 
-@pytest.mark.parametrize("call, message", [
-    (lambda s: s.step((0.0, 0.0), 0.1), r"voltage = .*; expected three finite numbers"),
-    (lambda s: s.step((0.0, 0.0, math.nan), 0.1), "voltage"),
-    (lambda s: s.step("abc", 0.1), "voltage"),
-    (lambda s: s.step(NOTHING, 0.0), "duration 0.0 s; expected a positive number"),
-    (lambda s: s.step(NOTHING, math.inf), "duration inf s"),
-    (lambda s: s.reset((0.0, 0.0)), "position"),
-    (lambda s: s.reset(NOTHING, (0.0, 0.0, math.inf)), "velocity"),
-    (lambda s: s.reset(NOTHING, NOTHING, None), "current"),
-])
+@pytest.mark.parametrize(
+    "call, message",
+    [
+        (lambda s: s.step((0.0, 0.0), 0.1), r"voltage = .*; expected three finite numbers"),
+        (lambda s: s.step((0.0, 0.0, math.nan), 0.1), "voltage"),
+        (lambda s: s.step("abc", 0.1), "voltage"),
+        (lambda s: s.step(NOTHING, 0.0), "duration 0.0 s; expected a positive number"),
+        (lambda s: s.step(NOTHING, math.inf), "duration inf s"),
+        (lambda s: s.reset((0.0, 0.0)), "position"),
+        (lambda s: s.reset(NOTHING, (0.0, 0.0, math.inf)), "velocity"),
+        (lambda s: s.reset(NOTHING, NOTHING, None), "current"),
+    ],
+)
 def test_numbers_that_cannot_be_used_are_refused(call, message):
     simulator = simulator_of()
     with pytest.raises(ParameterError, match=message):
@@ -265,23 +278,34 @@ def test_numbers_that_cannot_be_used_are_refused(call, message):
     assert bits(simulator.state) == bits(np.concatenate(START)) and simulator.time == 0.0
 
 
-@pytest.mark.parametrize("text, constraint", [
-    ("free", Constraint()), ("hold", Constraint("hold")), ("velocity", Constraint("velocity")),
-    ("velocity:0.5", Constraint("velocity", 0.5)),
-    ("acceleration:-1", Constraint("acceleration", -1)),
-])
+@pytest.mark.parametrize(
+    "text, constraint",
+    [
+        ("free", Constraint()),
+        ("hold", Constraint("hold")),
+        ("velocity", Constraint("velocity")),
+        ("velocity:0.5", Constraint("velocity", 0.5)),
+        ("acceleration:-1", Constraint("acceleration", -1)),
+    ],
+)
 def test_constraints_are_read_from_text(text, constraint):
     assert Constraint.parse(text) == constraint
     assert constraint.value is None or type(constraint.value) is float
 
 
-@pytest.mark.parametrize("text, message", [
-    ("", "constraint ''"), ("fixed", "constraint 'fixed': unknown; expected free or hold"),
-    ("hold:1", "constraint 'hold': value 1.0; expected no value"), ("acceleration", "no value"),
-    ("velocity:", "value ''; expected a number"), ("velocity:x", "value 'x'; expected a number"),
-    ("velocity:nan", "value nan; expected a finite number"),
-    ("acceleration:inf", "value inf; expected a finite number"),
-])
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ("", "constraint ''"),
+        ("fixed", "constraint 'fixed': unknown; expected free or hold"),
+        ("hold:1", "constraint 'hold': value 1.0; expected no value"),
+        ("acceleration", "no value"),
+        ("velocity:", "value ''; expected a number"),
+        ("velocity:x", "value 'x'; expected a number"),
+        ("velocity:nan", "value nan; expected a finite number"),
+        ("acceleration:inf", "value inf; expected a finite number"),
+    ],
+)
 def test_constraints_that_cannot_be_used_are_named(text, message):
     with pytest.raises(ParameterError, match=message):
         Constraint.parse(text)
@@ -294,8 +318,7 @@ def test_constraints_come_in_threes_and_agree_with_the_initial_velocity():
         Simulator(plant_of(), constraints=("hold", "hold", "hold"))
     with pytest.raises(ParameterError, match="value True; expected a finite number"):
         Constraint("velocity", True)
-    simulator = Simulator(plant_of(), constraints=(Constraint("hold"), Constraint("velocity", 0.5),
-                                                   Constraint()))
+    simulator = Simulator(plant_of(), constraints=(Constraint("hold"), Constraint("velocity", 0.5), Constraint()))
     with pytest.raises(ParameterError, match="initial velocity 1.0 rad/s of joint 1; expected 0.0"):
         simulator.reset(velocity=(1.0, 0.0, 0.0))
     with pytest.raises(ParameterError, match="of joint 2; expected 0.5 rad/s"):
@@ -321,8 +344,14 @@ except NonFiniteStateError as error:
 def test_a_state_that_stops_being_finite_leaves_the_last_finite_one(kernel):
     pytest.importorskip("numba") if kernel == "numba" else None
     import os
-    run = subprocess.run([sys.executable, "-c", EXPLOSION], capture_output=True, text=True,
-                         env={**os.environ, "PUMA_SIM_KERNEL": kernel}, check=True)
+
+    run = subprocess.run(
+        [sys.executable, "-c", EXPLOSION],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PUMA_SIM_KERNEL": kernel},
+        check=True,
+    )
     step, time, *state = run.stdout.split()
     # rows 0 to 4 are still those of the arm that falls; the voltage of row 4 breaks row 5
     simulator = simulator_of(start=(NOTHING,))

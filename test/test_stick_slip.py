@@ -17,12 +17,16 @@ from puma_sim_core.simulator import Constraint, Simulator
 pytestmark = pytest.mark.long
 #: friction of each joint: level for positive and negative motion, Stribeck excess, its velocity
 FRICTION = ((12.0, 16.0, 5.0, 0.05), (13.6, 7.65, 6.0, 0.02), (5.0, 4.0, 2.0, 0.1))
-EFFECTS = [text for j, (fp, fn, fs, vs) in enumerate(FRICTION, start=1) for text in (
-    f"coulomb_friction:joint={j},torque={min(fp, fn) - 1.0}",
-    f"asymmetric_coulomb_friction:joint={j},positive={fp - min(fp, fn) + 1.0},"
-    f"negative={fn - min(fp, fn) + 1.0}",
-    f"stribeck_friction:joint={j},torque={fs},velocity={vs}",
-    f"viscous_friction:joint={j},coefficient=2")]
+EFFECTS = [
+    text
+    for j, (fp, fn, fs, vs) in enumerate(FRICTION, start=1)
+    for text in (
+        f"coulomb_friction:joint={j},torque={min(fp, fn) - 1.0}",
+        f"asymmetric_coulomb_friction:joint={j},positive={fp - min(fp, fn) + 1.0},negative={fn - min(fp, fn) + 1.0}",
+        f"stribeck_friction:joint={j},torque={fs},velocity={vs}",
+        f"viscous_friction:joint={j},coefficient=2",
+    )
+]
 POSITION = np.array([0.3, -0.6, 0.9])
 
 
@@ -42,7 +46,7 @@ class EventDriven:
 
     def level(self, direction, speed, q):
         fp, fn, fs, vs = FRICTION[self.joint]
-        return (fp if direction > 0 else fn) + fs * np.exp(-(speed / vs) ** 2)
+        return (fp if direction > 0 else fn) + fs * np.exp(-((speed / vs) ** 2))
 
     def gravity(self, q):
         pose = POSITION.copy()
@@ -80,16 +84,23 @@ class EventDriven:
         s = self.direction
 
         def f(t, y):
-            torque = (self.kT * y[2] - self.gravity(y[0]) - self.H * y[1]
-                      - s * self.level(s, abs(y[1]), y[0]))
+            torque = self.kT * y[2] - self.gravity(y[0]) - self.H * y[1] - s * self.level(s, abs(y[1]), y[0])
             return [y[1], torque / self.M, (volts - self.R * y[2] - self.ke * y[1]) / self.L]
 
         def stop(t, y):
             return s * y[1]
 
         stop.terminal, stop.direction = True, -1
-        run = solve_ivp(f, (0.0, left), [self.q, self.w, self.i], method="DOP853", events=stop,
-                        rtol=1e-11, atol=1e-13, max_step=0.01)
+        run = solve_ivp(
+            f,
+            (0.0, left),
+            [self.q, self.w, self.i],
+            method="DOP853",
+            events=stop,
+            rtol=1e-11,
+            atol=1e-13,
+            max_step=0.01,
+        )
         self.q, self.w, self.i = run.y[:, -1]
         if run.status == 1:
             self.w = 0.0
@@ -141,13 +152,19 @@ def friction_order(effects, steps):
     return np.log2(errors[:-1] / errors[1:])
 
 
-@pytest.mark.parametrize("effects", [
-    [f"coulomb_friction:joint={j},torque={c}" for j, c in ((1, 15), (2, 20), (3, 8))],
-    [f"asymmetric_coulomb_friction:joint={j},positive={p},negative={n}"
-     for j, p, n in ((1, 24.7, 10), (2, 13.6, 7.65), (3, 7.1, 5.6))],
-    [f"coulomb_friction:joint={j},torque={c}" for j, c in ((1, 15), (2, 20), (3, 8))]
-    + [f"stribeck_friction:joint={j},torque=6,velocity=0.1" for j in (1, 2, 3)],
-], ids=["coulomb", "asymmetric", "stribeck"])
+@pytest.mark.parametrize(
+    "effects",
+    [
+        [f"coulomb_friction:joint={j},torque={c}" for j, c in ((1, 15), (2, 20), (3, 8))],
+        [
+            f"asymmetric_coulomb_friction:joint={j},positive={p},negative={n}"
+            for j, p, n in ((1, 24.7, 10), (2, 13.6, 7.65), (3, 7.1, 5.6))
+        ],
+        [f"coulomb_friction:joint={j},torque={c}" for j, c in ((1, 15), (2, 20), (3, 8))]
+        + [f"stribeck_friction:joint={j},torque=6,velocity=0.1" for j in (1, 2, 3)],
+    ],
+    ids=["coulomb", "asymmetric", "stribeck"],
+)
 def test_fourth_order_survives_stops_and_reversals(effects):
     orders = friction_order(effects, (0.0005, 0.00025, 0.000125))
     assert all(3.5 < order < 4.5 for order in orders), orders
@@ -158,11 +175,11 @@ def test_crawling_is_stick_slip_with_stribeck_friction_and_smooth_without():
     ramp = np.zeros((200, 3))
     ramp[:, 0] = 0.002 * 0.028 * np.arange(200)
     starts = {}
-    for name, effects in (("jerks", ["coulomb_friction:joint=1,torque=10",
-                                     "stribeck_friction:joint=1,torque=15,velocity=0.01"]),
-                          ("smooth", ["viscous_friction:joint=1,coefficient=5"])):
-        simulator = Simulator(plant_of(*effects), constraints=[
-            Constraint(), Constraint("hold"), Constraint("hold")])
+    for name, effects in (
+        ("jerks", ["coulomb_friction:joint=1,torque=10", "stribeck_friction:joint=1,torque=15,velocity=0.01"]),
+        ("smooth", ["viscous_friction:joint=1,coefficient=5"]),
+    ):
+        simulator = Simulator(plant_of(*effects), constraints=[Constraint(), Constraint("hold"), Constraint("hold")])
         run = simulator.run_servo(ramp, ServoConfig())
         moving = run.velocity[600:, 0] != 0.0
         starts[name] = int((np.diff(moving.astype(int)) == 1).sum())

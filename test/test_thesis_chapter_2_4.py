@@ -38,14 +38,21 @@ def row(result, start):
 def test_six_links_against_mujoco():
     # the arm as figure 2.6 draws it: axes and distances, no Denavit-Hartenberg angles
     mujoco = pytest.importorskip("mujoco")
-    joints = [("z", (0, 0, 0)), ("y", (0, 0, 0)), ("y", (ARM.a2, 0, 0)),
-              ("z", (ARM.a3, ARM.d3, 0)), ("y", (0, 0, ARM.d4)), ("z", (0, 0, 0))]
+    joints = [
+        ("z", (0, 0, 0)),
+        ("y", (0, 0, 0)),
+        ("y", (ARM.a2, 0, 0)),
+        ("z", (ARM.a3, ARM.d3, 0)),
+        ("y", (0, 0, ARM.d4)),
+        ("z", (0, 0, 0)),
+    ]
     axes = {"y": "0 1 0", "z": "0 0 1"}
     opening = "".join(
         f'<body pos="{x!r} {y!r} {z!r}"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
-        f'<joint type="hinge" axis="{axes[axis]}"/>' for axis, (x, y, z) in joints)
-    model = mujoco.MjModel.from_xml_string(
-        f"<mujoco><worldbody>{opening}{'</body>' * 6}</worldbody></mujoco>")
+        f'<joint type="hinge" axis="{axes[axis]}"/>'
+        for axis, (x, y, z) in joints
+    )
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{opening}{'</body>' * 6}</worldbody></mujoco>")
     data = mujoco.MjData(model)
     for q in POSES:
         data.qpos[:] = q
@@ -67,8 +74,7 @@ def test_turns_about_lines_give_the_same_frames(name):
 
 def test_printed_matrices_are_off_by_the_slip_in_t3_alone_when_t2_has_the_offset():
     for q in POSES:
-        off = np.linalg.norm((chapter_2.printed_frame(q, ARM, ARM.d3)
-                              - forward_kinematics(q, ARM))[:3, 3])
+        off = np.linalg.norm((chapter_2.printed_frame(q, ARM, ARM.d3) - forward_kinematics(q, ARM))[:3, 3])
         assert off == pytest.approx(abs(ARM.a3 * (math.cos(q[2]) - math.sin(q[2]))), abs=1e-14)
 
 
@@ -100,15 +106,16 @@ def test_terms_add_up_to_the_coefficients(name):
     d, c, g = inertia(q, arm) + np.diag(arm.motor_inertia), coriolis(q, arm), gravity_torque(q, arm)
     for key, numbers in terms.coefficient_terms(arm).items():
         index = (slice(None), *(int(digit) - 1 for digit in key[1:]))
-        np.testing.assert_allclose(terms.value(numbers, q), {"D": d, "C": c, "G": g}[key[0]][index],
-                                   rtol=0, atol=1e-12, err_msg=key)
+        np.testing.assert_allclose(
+            terms.value(numbers, q), {"D": d, "C": c, "G": g}[key[0]][index], rtol=0, atol=1e-12, err_msg=key
+        )
 
 
 @pytest.mark.parametrize("name", ["bejczy", "paul", "armstrong"])
-@pytest.mark.parametrize("coefficient, number, slips, words", chapter_4.EQUATIONS,
-                         ids=[each[0] for each in chapter_4.EQUATIONS])
-def test_an_equation_is_wrong_with_its_slips_and_right_without(name, coefficient, number, slips,
-                                                               words):
+@pytest.mark.parametrize(
+    "coefficient, number, slips, words", chapter_4.EQUATIONS, ids=[each[0] for each in chapter_4.EQUATIONS]
+)
+def test_an_equation_is_wrong_with_its_slips_and_right_without(name, coefficient, number, slips, words):
     arm = load_parameters(name)
     right = [chapter_4.corrected_value(coefficient, q, arm) for q in POSES[:, :3]]
     printed = [chapter_4.printed_value(coefficient, slips, q, arm) for q in POSES[:, :3]]
@@ -118,8 +125,9 @@ def test_an_equation_is_wrong_with_its_slips_and_right_without(name, coefficient
     else:
         np.testing.assert_allclose(printed, right, rtol=0, atol=1e-12)
     if slips and coefficient != "C311":
-        np.testing.assert_allclose([chapter_4.printed_value(coefficient, (), q, arm)
-                                    for q in POSES[:, :3]], right, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(
+            [chapter_4.printed_value(coefficient, (), q, arm) for q in POSES[:, :3]], right, rtol=0, atol=1e-12
+        )
 
 
 def test_the_pose_of_experiment_4_3_hides_no_misprint():
@@ -130,19 +138,18 @@ def test_the_pose_of_experiment_4_3_hides_no_misprint():
 def test_bejczy_made_the_printed_numbers():
     matched = result_of("4.5").numbers["matched"]
     numbers = chapter_4._held_against(ARM)
-    off = {(name, basis) for name, basis, printed, ours, tolerance in numbers
-           if abs(printed - ours) > tolerance}
+    off = {(name, basis) for name, basis, printed, ours, tolerance in numbers if abs(printed - ours) > tolerance}
     # these two are one unit of the fourth decimal off, as no other number is
     assert off == {("D11", "S23^2"), ("D11", "C2C23")}
     assert matched["bejczy"] == len(numbers) - 2
     # "tuned" is a reading that keeps Bejczy's masses; no independent set comes near
-    assert all(hits <= 10 for name, hits in matched.items()
-               if name in ("armstrong", "average", "paul", "corke_armstrong_1994"))
+    assert all(
+        hits <= 10 for name, hits in matched.items() if name in ("armstrong", "average", "paul", "corke_armstrong_1994")
+    )
 
 
 def test_every_misprinted_number_has_its_reason():
-    listed = {(name, basis) for name, basis, *_ in terms.printed_terms()
-              if terms.is_misprint(name, basis)}
+    listed = {(name, basis) for name, basis, *_ in terms.printed_terms() if terms.is_misprint(name, basis)}
     assert listed == set(chapter_4._WHY)
     assert {name for name, _ in listed} == set(misprints())
 
@@ -169,8 +176,7 @@ def test_tables_4_2_and_4_3_differ_by_more_than_the_text_says():
 
 def test_every_published_set_is_an_arm_and_table_7_1_is_not():
     result = result_of("4.4")
-    lowest = {each.quantity: each.ours for each in result.rows
-              if each.quantity.startswith("smallest eigenvalue")}
+    lowest = {each.quantity: each.ours for each in result.rows if each.quantity.startswith("smallest eigenvalue")}
     assert len(lowest) == len(parameter_sets()) + 1
     for name in parameter_sets():
         assert lowest[f"smallest eigenvalue of D + Ia, {name}"] > 0.5

@@ -13,17 +13,22 @@ import pytest
 from puma_sim_core.parameters import load_parameters
 from puma_sim_core.plant import Plant
 from puma_sim_core.simulator import Constraint, Simulator
-from puma_sim_core.third_order import joint_torque_per_ampere
 from puma_sim_core.thesis import chapter_5_6, chapter_6_1, chapter_6_2, integration
 from puma_sim_core.thesis.misprints import chapter_6 as misprints_6
 from puma_sim_core.thesis.misprints.reference import nominal
 from puma_sim_core.thesis.registry import Context
+from puma_sim_core.third_order import joint_torque_per_ampere
 
 pytestmark = pytest.mark.long
 UPRIGHT = np.array([0.0, -math.pi / 2, math.pi / 2])
-RUNS = {"5.2": chapter_5_6.third_order, "6.1": chapter_6_1.constraints, "6.2": chapter_6_2.run,
-        "6.2.1": chapter_6_1.locks_and_run_time, "6.3": chapter_5_6.inversion,
-        "6.4": chapter_5_6.program_matrices}
+RUNS = {
+    "5.2": chapter_5_6.third_order,
+    "6.1": chapter_6_1.constraints,
+    "6.2": chapter_6_2.run,
+    "6.2.1": chapter_6_1.locks_and_run_time,
+    "6.3": chapter_5_6.inversion,
+    "6.4": chapter_5_6.program_matrices,
+}
 
 
 @pytest.fixture(scope="module")
@@ -50,10 +55,10 @@ def test_progress_rises_to_one(number):
 def test_both_states_end_where_the_regression_says(results):
     numbers = results["5.2"].numbers
     assert numbers["two states agree to 1e-10"] is True
-    np.testing.assert_allclose(numbers["q(0.5 s), F = N kt i"],
-                               (0.68745378, -0.6102092, 1.07667885), rtol=0, atol=2e-8)
-    np.testing.assert_allclose(numbers["q(0.5 s), F = kt i, as printed"],
-                               (0.30113443, 0.48721605, 0.90871915), rtol=0, atol=2e-8)
+    np.testing.assert_allclose(numbers["q(0.5 s), F = N kt i"], (0.68745378, -0.6102092, 1.07667885), rtol=0, atol=2e-8)
+    np.testing.assert_allclose(
+        numbers["q(0.5 s), F = kt i, as printed"], (0.30113443, 0.48721605, 0.90871915), rtol=0, atol=2e-8
+    )
 
 
 @pytest.mark.parametrize("form", ["physical", "printed"])
@@ -65,8 +70,7 @@ def test_motion_is_one_in_both_states(form):
 
 
 def test_named_matrices_have_their_structure(results):
-    numbers = {name: np.array(value) for name, value in results["5.2"].numbers.items()
-               if name[0].isupper()}
+    numbers = {name: np.array(value) for name, value in results["5.2"].numbers.items() if name[0].isupper()}
     for name in ("HMAT", "KMAT", "LKMAT"):
         assert np.array_equal(numbers[name], np.diag(np.diag(numbers[name])))
     scaled = np.linalg.solve(numbers["LKMAT"], numbers["Dbar"])
@@ -146,13 +150,12 @@ def test_all_combinations_of_constraints_ran(results):
 
 def test_effective_inertias_of_locked_joints(results):
     numbers = results["6.2.1"].numbers
-    np.testing.assert_allclose(numbers["upright: inertia, kg.m^2"], (2.498, 6.328, 1.129),
-                               atol=1e-3)
-    np.testing.assert_allclose(numbers["upright: inertia by overwriting, kg.m^2"],
-                               (1.355, 2.975, 0.924), atol=1e-3)
+    np.testing.assert_allclose(numbers["upright: inertia, kg.m^2"], (2.498, 6.328, 1.129), atol=1e-3)
+    np.testing.assert_allclose(numbers["upright: inertia by overwriting, kg.m^2"], (1.355, 2.975, 0.924), atol=1e-3)
     for way, name in (("", ", right"), (" by overwriting", ", overwritten")):
-        np.testing.assert_allclose(numbers[f"upright: inertia seen in the motion{name}"],
-                                   numbers[f"upright: inertia{way}, kg.m^2"], rtol=1e-8)
+        np.testing.assert_allclose(
+            numbers[f"upright: inertia seen in the motion{name}"], numbers[f"upright: inertia{way}, kg.m^2"], rtol=1e-8
+        )
 
 
 @pytest.mark.parametrize("joint", [0, 1, 2])
@@ -174,8 +177,7 @@ def test_simulator_locks_joints_rightly(joint):
 
 def test_right_lock_responds_as_the_simulator():
     at, velocity = chapter_6_1.locked_response(False, duration=0.028)
-    simulator = Simulator(Plant.of("bejczy"),
-                          constraints=[Constraint(), Constraint("hold"), Constraint("hold")])
+    simulator = Simulator(Plant.of("bejczy"), constraints=[Constraint(), Constraint("hold"), Constraint("hold")])
     simulator.reset(UPRIGHT)
     run = simulator.run(at, np.tile((20.0, 0.0, 0.0), (len(at), 1)))
     np.testing.assert_allclose(velocity, run.velocity[:, 0], rtol=0, atol=2e-4)
@@ -198,16 +200,16 @@ def test_d_is_indefinite_and_the_sum_is_not(results):
     numbers = results["6.3"].numbers
     assert numbers["smallest eigenvalue of D"] == pytest.approx(-0.405, abs=5e-4)
     assert numbers["smallest eigenvalue of D + Ia"] == pytest.approx(0.760, abs=5e-4)
-    assert 0.0 < numbers["share that meets the conditions and is indefinite"] < numbers[
-        "share of poses with D indefinite"]
+    assert (
+        0.0 < numbers["share that meets the conditions and is indefinite"] < numbers["share of poses with D indefinite"]
+    )
 
 
 def test_conditions_of_section_6_3():
     good = np.diag([1.0, 2.0, 3.0])
     fooled = np.full((3, 3), -0.9) + 1.9 * np.eye(3)
     bad = np.array([[1.0, 2.0, 0], [2.0, 1.0, 0], [0, 0, 1]])
-    assert chapter_5_6.meets_conditions(np.array([good, fooled, bad])).tolist() == [
-        True, True, False]
+    assert chapter_5_6.meets_conditions(np.array([good, fooled, bad])).tolist() == [True, True, False]
     assert np.linalg.eigvalsh(fooled)[0] < 0
 
 
@@ -215,8 +217,7 @@ def test_gauss_jordan_inverts_in_either_precision():
     rng = np.random.default_rng(4)
     for _ in range(50):
         matrix = rng.normal(size=(3, 3)) + 3 * np.eye(3)
-        np.testing.assert_allclose(chapter_5_6.gauss_jordan(matrix) @ matrix, np.eye(3),
-                                   rtol=0, atol=1e-12)
+        np.testing.assert_allclose(chapter_5_6.gauss_jordan(matrix) @ matrix, np.eye(3), rtol=0, atol=1e-12)
         single = chapter_5_6.gauss_jordan(matrix, np.float32)
         assert single.dtype == np.float32
         np.testing.assert_allclose(single @ matrix, np.eye(3), rtol=0, atol=1e-4)
@@ -245,5 +246,7 @@ def test_corrected_jerk_is_that_of_the_third_order_module():
         q, qd, qdd, v = rng.normal(size=(4, 3))
         np.testing.assert_allclose(
             misprints_6.jerk_6_2(q, qd, qdd, v),
-            jerk(q, qd, qdd, v, load_parameters("bejczy"), misprints_6.VISCOUS), rtol=1e-9,
-            atol=1e-9)
+            jerk(q, qd, qdd, v, load_parameters("bejczy"), misprints_6.VISCOUS),
+            rtol=1e-9,
+            atol=1e-9,
+        )

@@ -18,9 +18,10 @@ from puma_sim_core.thesis import chapter_7_7_4 as search
 from puma_sim_core.thesis.registry import Context, find
 from puma_sim_core.thesis.tuning import CASES, UPRIGHT, path, printed_pid, run
 
-pytestmark = [pytest.mark.long,
-              pytest.mark.skipif(BACKEND != "numba",
-                                 reason="minutes of simulated time: compiled kernel only")]
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.skipif(BACKEND != "numba", reason="minutes of simulated time: compiled kernel only"),
+]
 OWN, THESIS = "gains of the corrected model", "thesis's gains"
 
 
@@ -30,9 +31,10 @@ def result(number):
     return found.run(Context())
 
 
-@pytest.mark.parametrize("number, plots", [
-    ("7.7.1", {"7.17", "7.18"}), ("7.7.2", {"7.19", "7.20"}), ("7.7.3", {"7.21"}),
-    ("7.7.4", {"7.22"})])
+@pytest.mark.parametrize(
+    "number, plots",
+    [("7.7.1", {"7.17", "7.18"}), ("7.7.2", {"7.19", "7.20"}), ("7.7.3", {"7.21"}), ("7.7.4", {"7.22"})],
+)
 def test_every_plot_is_redrawn(number, plots):
     figures = {figure.key: figure for figure in result(number).figures}
     assert plots <= set(figures)
@@ -51,8 +53,10 @@ def test_every_printed_ultimate_gain_has_its_row():
 
 def test_the_two_methods_agree_in_the_experiment():
     numbers = result("7.6").numbers
-    for exact, simulated in (("ultimate_gain", "ultimate_gain_simulated"),
-                             ("ultimate_period", "ultimate_period_simulated")):
+    for exact, simulated in (
+        ("ultimate_gain", "ultimate_gain_simulated"),
+        ("ultimate_period", "ultimate_period_simulated"),
+    ):
         np.testing.assert_allclose(numbers[simulated], numbers[exact], rtol=0.03)
 
 
@@ -63,11 +67,12 @@ def test_one_pid_cannot_serve_joint_1():
     gains = settings(upright.ultimate(plant))
     for case, grows in ((upright, False), (horizontal, True)):
         by = np.array([1e-3, 0.0, 0.0])
-        record = run(plant, [gains] * 3, case.pose, path(case.pose, ((0.1, 0.0, by),), 4.0),
-                     alone=1, voltage_limit=np.inf)
+        record = run(
+            plant, [gains] * 3, case.pose, path(case.pose, ((0.1, 0.0, by),), 4.0), alone=1, voltage_limit=np.inf
+        )
         error = np.abs(record.position[:, 0] - 1e-3)
         n = len(error) // 4
-        assert (error[-n:].max() > error[-2 * n:-n].max()) == grows
+        assert (error[-n:].max() > error[-2 * n : -n].max()) == grows
     assert 0.0 < result("7.7.1").numbers["7.7.1-fixed-7.17_unstable_share"] < 1.0
     assert result("7.7.1").numbers["7.7.1-fixed-7.18_unstable_share"] == 0.0
 
@@ -93,8 +98,7 @@ def test_tail_measures_amplitude_and_period():
 
 def test_at_the_stated_rate_nothing_sustains_it_with_the_printed_gains():
     numbers = result("7.7.4").numbers
-    loud = [m.name for m in search.MECHANISMS
-            if m.name not in numbers["quiet_with_the_thesis_gains"]]
+    loud = [m.name for m in search.MECHANISMS if m.name not in numbers["quiet_with_the_thesis_gains"]]
     assert loud == ["sampled each 50 ms, one sample of delay"]
     assert numbers[f"{THESIS} | {loud[0]} | ramps"][4] is True
     assert numbers[f"{THESIS} | {loud[0]} | ramps | alone"] == [3]
@@ -105,8 +109,7 @@ def test_a_short_delay_and_the_coupling_make_a_limit_cycle_with_our_own_gains():
     *alone, together = numbers[f"{OWN} | delay borne alone, together"]
     assert min(alone) > together
     for delay in range(1, min(alone) + 1):
-        name = next(m.name for m in search.MECHANISMS
-                    if m.delay == delay and m.name.startswith("delay"))
+        name = next(m.name for m in search.MECHANISMS if m.delay == delay and m.name.startswith("delay"))
         assert numbers[f"{OWN} | {name} | ramps"][4] == (delay > together)
         if delay > together:
             assert numbers[f"{OWN} | {name} | ramps | alone"] == []
@@ -126,14 +129,12 @@ def test_delay_borne_is_where_the_simulated_arm_begins_to_oscillate():
     borne = search.greatest_delay(Plant.of(), gains, (1, 2, 3))
     for delay, sustained in ((borne, False), (borne + 1, True)):
         start = np.array(UPRIGHT)
-        record = run(Plant.of(), gains, start, path(start, ((0.1, 0.0, [1e-3] * 3),), 12.0),
-                     delay_samples=delay)
+        record = run(Plant.of(), gains, start, path(start, ((0.1, 0.0, [1e-3] * 3),), 12.0), delay_samples=delay)
         assert search.tail(record, SERVO_PERIOD).sustained == sustained
 
 
 def test_moves_sum_up_in_a_path():
-    setpoint = path((1.0, 0.0, 0.0), ((1.0, 0.0, (0.5, 0.0, 0.0)),
-                                      (0.0, 2.0, (0.0, 0.0, 2.0))), 4.0, 0.02)
+    setpoint = path((1.0, 0.0, 0.0), ((1.0, 0.0, (0.5, 0.0, 0.0)), (0.0, 2.0, (0.0, 0.0, 2.0))), 4.0, 0.02)
     assert setpoint.shape == (200, 3)
     np.testing.assert_array_equal(setpoint[[49, 50], 0], [1.0, 1.5])
     np.testing.assert_allclose(setpoint[[50, 150], 2], [1.01, 2.0])

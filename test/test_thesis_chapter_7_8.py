@@ -58,13 +58,16 @@ def test_a_record_is_what_the_controller_saw(maker):
     found = identify_pid(record)
     assert found.rounding_only
     assert found.voltage_step == pytest.approx(80.0 / 4096.0)
-    for value, interval in zip((gains.gain, gains.integral_time, gains.derivative_time),
-                               (found.gain, found.integral_time, found.derivative_time)):
+    for value, interval in zip(
+        (gains.gain, gains.integral_time, gains.derivative_time),
+        (found.gain, found.integral_time, found.derivative_time),
+    ):
         assert value in interval
     # in the form of 7.5 to 7.7 the same record has gains that differ by h/Ti
     velocity = identify_pid(record, form="velocity")
-    for value, interval in zip(section.true_gains(gains),
-                               (velocity.gain, velocity.integral_time, velocity.derivative_time)):
+    for value, interval in zip(
+        section.true_gains(gains), (velocity.gain, velocity.integral_time, velocity.derivative_time)
+    ):
         assert value in interval
 
 
@@ -75,7 +78,8 @@ def test_the_quoted_gains_do_not_follow_from_the_equations_with_any_signs():
     seven_nine, seven_ten = section.EQUATIONS
     h = 0.028 / 30.0
     assert section.implied_gains(seven_nine.numerator, h) == pytest.approx(
-        (6739 - 5743, 996 * h / (6739 + 1430 + 5743), 5743 * h / 996))
+        (6739 - 5743, 996 * h / (6739 + 1430 + 5743), 5743 * h / 996)
+    )
     assert section.implied_gains(seven_ten.numerator, h).gain == -295.0
     assert not section.readings(seven_ten, h)
 
@@ -90,8 +94,7 @@ def test_the_sensitivity_is_that_of_a_small_change():
         assert moved / equation.gains.gain - 1.0 == pytest.approx(0.01 * equation.percent[0])
         share = 0.01 * numbers[f"{equation.key}_needed_q1_percent"]
         moved = section.implied_gains(q * [1.0, 1.0 + share, 1.0], h).integral_time
-        assert equation.gains.integral_time / moved - 1.0 == pytest.approx(
-            -0.01 * equation.percent[1])
+        assert equation.gains.integral_time / moved - 1.0 == pytest.approx(-0.01 * equation.percent[1])
 
 
 def test_the_experiment_finds_the_gains_and_the_bias_that_it_tells_of(result):

@@ -53,8 +53,10 @@ def test_the_plots_and_what_is_printed_of_them_are_there(measured):
 def test_measured_values_are_better_where_the_thesis_says_so(measured):
     n = measured.numbers
     for plot in ("7.25", "7.26"):
-        rms = {name: n[f"{plot} {name}: rms_mrad"] for name in
-               ("measured", "estimated, as printed", "estimated, corrected model", "scheduled")}
+        rms = {
+            name: n[f"{plot} {name}: rms_mrad"]
+            for name in ("measured", "estimated, as printed", "estimated, corrected model", "scheduled")
+        }
         assert rms["measured"] < rms["estimated, as printed"]
         assert max(rms["estimated, corrected model"], rms["scheduled"]) < 0.3 * rms["measured"]
         assert n[f"{plot} measured: damping"] > n[f"{plot} estimated, as printed: damping"] > 0.0
@@ -67,8 +69,7 @@ def test_scheduled_gains_do_at_both_poses_what_fixed_ones_do_at_their_own(measur
         return n[f"descent {name}: {where} overshoot"]
 
     for where in ("upright", "horizontal"):
-        assert overshoot("scheduled", where) == pytest.approx(
-            overshoot(f"fixed, {where}", where), rel=0.15)
+        assert overshoot("scheduled", where) == pytest.approx(overshoot(f"fixed, {where}", where), rel=0.15)
     assert overshoot("fixed, upright", "horizontal") > 1.5 * overshoot("scheduled", "horizontal")
 
 
@@ -95,15 +96,15 @@ def test_computed_torque_is_the_most_exact_on_a_smooth_path_in_every_case(wish):
             ours = worst(wish.numbers, of, "computed torque", what)
             others = [worst(wish.numbers, of, name, what) for name in chapter_8.NAMES[:-1]]
             assert ours < min(others)
-    right, wrong, friction = (worst(wish.numbers, of, "computed torque", "smooth worst_mrad")
-                              for of in chapter_8.CASES)
+    right, wrong, friction = (worst(wish.numbers, of, "computed torque", "smooth worst_mrad") for of in chapter_8.CASES)
     assert right < 0.7 and right < wrong and right < friction
 
 
 def test_smooth_setpoints_avoid_overshoot_as_the_thesis_concludes(wish):
     for name in chapter_8.NAMES:
-        abrupt, smooth = (worst(wish.numbers, "model right", name, f"{kind} overshoot_mrad")
-                          for kind in ("ramp", "smooth"))
+        abrupt, smooth = (
+            worst(wish.numbers, "model right", name, f"{kind} overshoot_mrad") for kind in ("ramp", "smooth")
+        )
         assert smooth < abrupt
 
 

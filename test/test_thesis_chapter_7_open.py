@@ -8,26 +8,29 @@ from math import inf, radians
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
-
 from arm_reference import open_circuit as reference_open_circuit
 from arm_reference import right_hand_side
+from scipy.integrate import solve_ivp
 
 from puma_sim_core.backend import BACKEND
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.plant import Plant
 from puma_sim_core.rigid_body import arm_pseudo_inertias, arm_table, trace_gravity
 from puma_sim_core.thesis import chapter_7_2, chapter_7_3, chapter_7_4, chapter_7_5
-from puma_sim_core.thesis.motions import (crossing_time, drive, first_time, one_joint,
-                                          open_circuit)
+from puma_sim_core.thesis.motions import crossing_time, drive, first_time, one_joint, open_circuit
 from puma_sim_core.thesis.registry import Context
 
-pytestmark = [pytest.mark.long,
-              pytest.mark.skipif(BACKEND != "numba", reason="whole experiments: compiled only")]
+pytestmark = [pytest.mark.long, pytest.mark.skipif(BACKEND != "numba", reason="whole experiments: compiled only")]
 
-EXPERIMENTS = {"7.2": chapter_7_2.run, "7.3": chapter_7_3.run, "7.4.1": chapter_7_4.elbow,
-               "7.4.2": chapter_7_4.shoulder, "7.4.3": chapter_7_4.upright,
-               "7.4.4": chapter_7_4.remaining, "7.5": chapter_7_5.run}
+EXPERIMENTS = {
+    "7.2": chapter_7_2.run,
+    "7.3": chapter_7_3.run,
+    "7.4.1": chapter_7_4.elbow,
+    "7.4.2": chapter_7_4.shoulder,
+    "7.4.3": chapter_7_4.upright,
+    "7.4.4": chapter_7_4.remaining,
+    "7.5": chapter_7_5.run,
+}
 
 
 @pytest.fixture(scope="module")
@@ -58,16 +61,25 @@ def test_an_experiment_repeats_to_the_bit_and_reports_its_progress(number, resul
     assert shares == sorted(shares) and shares[-1] == 1.0
 
 
-@pytest.mark.parametrize("number, keys", [
-    ("7.2", {"7.1", "7.2"}), ("7.3", {"7.3", "7.5"}), ("7.4.1", {"7.6", "7.7"}),
-    ("7.4.2", {"7.8", "7.9"}), ("7.4.3", {"7.10", "7.11"}), ("7.4.4", {"7.12", "7.13"}),
-    ("7.5", {"7.14", "7.15", "7.16"})])
+@pytest.mark.parametrize(
+    "number, keys",
+    [
+        ("7.2", {"7.1", "7.2"}),
+        ("7.3", {"7.3", "7.5"}),
+        ("7.4.1", {"7.6", "7.7"}),
+        ("7.4.2", {"7.8", "7.9"}),
+        ("7.4.3", {"7.10", "7.11"}),
+        ("7.4.4", {"7.12", "7.13"}),
+        ("7.5", {"7.14", "7.15", "7.16"}),
+    ],
+)
 def test_the_plots_of_the_section_are_drawn(number, keys, results):
     found = [figure.key for figure in results[number].figures]
     assert keys <= set(found) and len(found) == len(set(found))
 
 
 # --------------------------------------------------------------------------------------------- 7.2
+
 
 @pytest.mark.parametrize("index, volts", [(0, 3.553), (1, 2.499), (2, 1.190)])
 def test_least_static_voltage_is_that_of_the_greatest_gravity_torque(plant, index, volts):
@@ -82,8 +94,9 @@ def test_least_static_voltage_is_that_of_the_greatest_gravity_torque(plant, inde
     motor = plant.arm.motors[j]
     static = 1.6 * greatest / (motor.gear_ratio * 0.2611)
     assert static == pytest.approx(volts, abs=1e-3)
-    assert (chapter_7_2.greatest_gravity(plant, test) * chapter_7_2.volts_per_torque(plant, j + 1)
-            == pytest.approx(static, rel=1e-5))
+    assert chapter_7_2.greatest_gravity(plant, test) * chapter_7_2.volts_per_torque(plant, j + 1) == pytest.approx(
+        static, rel=1e-5
+    )
     # a little below it the arm never arrives, a little above it does
     simulator = one_joint(plant, j + 1, chapter_7_2.COARSE)
     assert crossing_time(simulator, j + 1, test.pose, 0.98 * static, 200.0) == inf
@@ -98,20 +111,21 @@ def test_crossing_time_is_that_of_the_balance_of_torques(plant, test, volts):
     motor = plant.arm.motors[j]
     q = np.tile(test.pose, (4001, 1))
     q[:, j] = np.linspace(*plant.arm.joint_ranges[j], len(q))
-    G = np.array([trace_gravity(x, arm_pseudo_inertias(plant.arm), arm_table(plant.arm))[j]
-                  for x in q])
-    speed = ((volts - motor.resistance * G / (motor.gear_ratio * motor.torque_constant))
-             / (motor.back_emf * motor.gear_ratio))
+    G = np.array([trace_gravity(x, arm_pseudo_inertias(plant.arm), arm_table(plant.arm))[j] for x in q])
+    speed = (volts - motor.resistance * G / (motor.gear_ratio * motor.torque_constant)) / (
+        motor.back_emf * motor.gear_ratio
+    )
     expected = abs(np.sum(0.5 * (1.0 / speed[1:] + 1.0 / speed[:-1]) * np.diff(q[:, j])))
-    found = crossing_time(one_joint(plant, test.joint, chapter_7_2.COARSE), test.joint, test.pose,
-                          volts, 60.0)
+    found = crossing_time(one_joint(plant, test.joint, chapter_7_2.COARSE), test.joint, test.pose, volts, 60.0)
     assert found == pytest.approx(expected, rel=5e-3)
 
 
 def test_coarse_steps_do_not_show_in_crossing_times(plant):
     for test in chapter_7_2.TESTS:
-        fine, coarse = (crossing_time(one_joint(plant, test.joint, h), test.joint, test.pose, 9.0,
-                                      30.0) for h in (0.0005, chapter_7_2.COARSE))
+        fine, coarse = (
+            crossing_time(one_joint(plant, test.joint, h), test.joint, test.pose, 9.0, 30.0)
+            for h in (0.0005, chapter_7_2.COARSE)
+        )
         assert coarse == pytest.approx(fine, abs=1e-6)
 
 
@@ -125,8 +139,9 @@ def test_dry_friction_adds_the_same_voltage_whatever_the_load_and_the_time(plant
     for test in chapter_7_2.TESTS[:2]:
         rubbed = Plant(plant.arm, (parse_effect(f"coulomb_friction:joint=2,torque={level}"),))
         for allowed in (12.0, 25.0):
-            added = (chapter_7_2.voltage_for_time(rubbed, test, allowed)
-                     - chapter_7_2.voltage_for_time(plant, test, allowed))
+            added = chapter_7_2.voltage_for_time(rubbed, test, allowed) - chapter_7_2.voltage_for_time(
+                plant, test, allowed
+            )
             assert added == pytest.approx(level * 1.6 / (107.81 * 0.2611), abs=5e-3)
 
 
@@ -144,8 +159,7 @@ def test_the_search_for_a_voltage_ends_at_the_time_allowed(plant):
     for test in chapter_7_2.TESTS:
         for sign in (1.0, -1.0):
             volts = chapter_7_2.voltage_for_time(plant, test, 15.0, sign)
-            taken = crossing_time(one_joint(plant, test.joint), test.joint, test.pose,
-                                  sign * volts, 30.0)
+            taken = crossing_time(one_joint(plant, test.joint), test.joint, test.pose, sign * volts, 30.0)
             assert taken == pytest.approx(15.0, abs=0.01)
 
 
@@ -164,6 +178,7 @@ def test_a_driven_joint_moves_alone(plant):
 
 # --------------------------------------------------------------------------------------------- 7.3
 
+
 def test_open_circuit_motors_carry_no_current(plant):
     r = chapter_7_3.fall(open_circuit(plant), duration=2.0)
     assert not r.current.any()
@@ -174,9 +189,10 @@ def test_open_circuit_motors_carry_no_current(plant):
     np.testing.assert_allclose(free.position[-1], solution.y[:3, -1], atol=1e-7)
 
 
-@pytest.mark.parametrize("motors, low, high, q1", [
-    ("shorted", 7.25, 7.35, None), ("open-circuit", 0.37, 0.40, -8.0),
-    ("as-printed", 0.40, 0.45, None)])
+@pytest.mark.parametrize(
+    "motors, low, high, q1",
+    [("shorted", 7.25, 7.35, None), ("open-circuit", 0.37, 0.40, -8.0), ("as-printed", 0.40, 0.45, None)],
+)
 def test_falls_take_as_long_as_the_model_says(results, motors, low, high, q1):
     r = results["7.3"]
     assert low < row(r, f"time to 43 deg of joint 2, {motors}").ours < high
@@ -188,16 +204,16 @@ def test_only_falling_motors_let_joint_3_overshoot(plant):
     shorted = chapter_7_3.fall(plant, duration=4.0)
     printed = chapter_7_3.fall(Plant(plant.arm, torque_form="printed"))
     assert chapter_7_3.overshoot(shorted) < 0.0 < chapter_7_3.overshoot(printed)
-    damped = chapter_7_3.fall(Plant(plant.arm, torque_form="printed"),
-                              chapter_7_3.STOPS + chapter_7_3.coulomb((0.0, 0.0, 4.0)))
+    damped = chapter_7_3.fall(
+        Plant(plant.arm, torque_form="printed"), chapter_7_3.STOPS + chapter_7_3.coulomb((0.0, 0.0, 4.0))
+    )
     assert chapter_7_3.overshoot(damped) < chapter_7_3.overshoot(printed)
 
 
 def test_dry_friction_above_the_reaction_holds_joint_1(plant):
     greatest = float(np.abs(chapter_7_3.reaction(open_circuit(plant))).max())
     for share, moves in ((0.8, True), (1.05, False)):
-        r = chapter_7_3.fall(open_circuit(plant),
-                             chapter_7_3.coulomb((share * greatest, 0.0, 0.0)), duration=0.38)
+        r = chapter_7_3.fall(open_circuit(plant), chapter_7_3.coulomb((share * greatest, 0.0, 0.0)), duration=0.38)
         assert bool(np.abs(r.position[:, 0]).max() > 1e-6) is moves
 
 
@@ -206,8 +222,10 @@ def test_friction_intervals_hold_the_truth_as_often_as_they_say(plant):
     for seed in range(30, 46):
         numbers: dict = {}
         chapter_7_3._estimation(Context(seed), plant, numbers)
-        covered += [numbers[f"friction{j}_low"] <= numbers[f"friction{j}_truth"]
-                    <= numbers[f"friction{j}_high"] for j in (1, 2, 3)]
+        covered += [
+            numbers[f"friction{j}_low"] <= numbers[f"friction{j}_truth"] <= numbers[f"friction{j}_high"]
+            for j in (1, 2, 3)
+        ]
         assert numbers["misfit_with_other_links"] > 10.0
     # 48 intervals of 95 per cent: fewer than 40 would happen once in a thousand times
     assert sum(covered) >= 40
@@ -215,9 +233,9 @@ def test_friction_intervals_hold_the_truth_as_often_as_they_say(plant):
 
 # --------------------------------------------------------------------------------------------- 7.4
 
+
 def test_radii_that_a_test_sees_are_found_and_the_others_are_said_not_to_be(results):
-    for number, names in (("7.4.1", ("k3yy",)), ("7.4.2", ("k2zz",)), ("7.4.3", ("sum",)),
-                          ("7.4.4", ("s", "p", "r"))):
+    for number, names in (("7.4.1", ("k3yy",)), ("7.4.2", ("k2zz",)), ("7.4.3", ("sum",)), ("7.4.4", ("s", "p", "r"))):
         numbers = results[number].numbers
         for name in names:
             value, truth = numbers[f"{name}_estimate"], numbers[f"{name}_truth"]
@@ -229,6 +247,7 @@ def test_radii_that_a_test_sees_are_found_and_the_others_are_said_not_to_be(resu
 
 
 # --------------------------------------------------------------------------------------------- 7.5
+
 
 def test_an_arm_that_is_replayed_on_itself_follows_the_record(results):
     numbers = results["7.5"].numbers
@@ -244,8 +263,16 @@ def test_the_first_drop_comes_from_the_brakes_and_not_from_the_missing_current(r
     assert (drop[1:] > 0.01).all()
     # a shorted motor under a load G creeps at R G / (kT ke N)
     from puma_sim_core.rigid_body import gravity_torque
+
     G = gravity_torque(np.array(chapter_7_5.START), plant.arm)
-    creep = np.array([-m.resistance * g / (m.gear_ratio ** 2 * m.torque_constant * m.back_emf)
-                      for m, g in zip(plant.arm.motors, G)]) * chapter_7_5.FIRST
+    creep = (
+        np.array(
+            [
+                -m.resistance * g / (m.gear_ratio**2 * m.torque_constant * m.back_emf)
+                for m, g in zip(plant.arm.motors, G)
+            ]
+        )
+        * chapter_7_5.FIRST
+    )
     np.testing.assert_allclose(drop[1:], creep[1:], rtol=0.2)
     assert radians(1.0) < drop[1] < radians(5.0)

@@ -13,6 +13,8 @@ import sys
 
 import numpy as np
 import pytest
+from browser_support import CHROMIUM, browse, check_drawn, needs_chromium, outline_of
+from cli_support import ROOT, call, puma_sim
 
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.thesis import registry
@@ -23,12 +25,9 @@ from puma_sim_core.thesis.report import first_sentence, number_text, page
 from puma_sim_core.thesis.result import Curve, Figure, Heatmap, Result, Row
 from puma_sim_core.thesis.runner import run
 
-from browser_support import CHROMIUM, browse, check_drawn, needs_chromium, outline_of
-from cli_support import ROOT, call, puma_sim
-
 #: experiments that take less than a second, with words, numbers and curves in them
 QUICK = ("2.4", "4.3", "4.4", "4.5")
-HARD = 'a < b & "c" > \'d\' $x$ \\ <script>alert(1)</script> \u00b0'
+HARD = "a < b & \"c\" > 'd' $x$ \\ <script>alert(1)</script> \u00b0"
 LONG = "damping ratio of the least damped oscillation of all three joints together [1]"
 
 
@@ -44,24 +43,53 @@ def every_kind() -> dict:
     x = np.linspace(0.0, 10.0, 5000)
     gap = np.where((x > 3) & (x < 4), np.nan, np.sin(x))
     figures = (
-        Figure("7.17", "Lines", "time [s]", "q1 [rad]", (
-            Curve("line", x, np.sin(x)), Curve("gap", x, gap, "dashed"),
-            Curve("steps", x[::500], np.cos(x[::500]), "steps"),
-            Curve("points", x[::700], np.cos(x[::700]), "points"),
-            Curve("one point", [5.0], [0.5])), note=HARD),
-        Figure("own-log", "Logarithms", "step [s]", "error [rad]",
-               (Curve("error", 10.0 ** np.arange(-5.0, 0.0), 10.0 ** np.arange(-12.0, -2.0, 2.0)),),
-               log_x=True, log_y=True),
-        Heatmap("own-map", HARD, LONG, LONG, np.arange(4.0), np.arange(3.0),
-                np.array([[1.0, 2.0, 3.0, 4.0], [2.0, np.nan, 4.0, 5.0], [3.0, 4.0, 5.0, 6.0]]),
-                LONG))
-    rows = (Row("a number", "V", 7.5, 3.553, "It does not reproduce."),
-            Row(HARD, "kg.m^2", None, 1e-16),
-            Row("words", "", HARD, "T3\nin two lines"), Row("equal", "s", 0.45, 0.4501))
-    return made(rows=rows, figures=figures, numbers={"list": [1, None, 2.5], "yes": True},
-                page_rows=(Row("run time", "s", 540.0, 0.123, "A faster computer."),),
-                page_figures=(Figure("own-time", "Only on the page", "x", "y",
-                                     (Curve("", [0, 1], [1, 2]),)),))
+        Figure(
+            "7.17",
+            "Lines",
+            "time [s]",
+            "q1 [rad]",
+            (
+                Curve("line", x, np.sin(x)),
+                Curve("gap", x, gap, "dashed"),
+                Curve("steps", x[::500], np.cos(x[::500]), "steps"),
+                Curve("points", x[::700], np.cos(x[::700]), "points"),
+                Curve("one point", [5.0], [0.5]),
+            ),
+            note=HARD,
+        ),
+        Figure(
+            "own-log",
+            "Logarithms",
+            "step [s]",
+            "error [rad]",
+            (Curve("error", 10.0 ** np.arange(-5.0, 0.0), 10.0 ** np.arange(-12.0, -2.0, 2.0)),),
+            log_x=True,
+            log_y=True,
+        ),
+        Heatmap(
+            "own-map",
+            HARD,
+            LONG,
+            LONG,
+            np.arange(4.0),
+            np.arange(3.0),
+            np.array([[1.0, 2.0, 3.0, 4.0], [2.0, np.nan, 4.0, 5.0], [3.0, 4.0, 5.0, 6.0]]),
+            LONG,
+        ),
+    )
+    rows = (
+        Row("a number", "V", 7.5, 3.553, "It does not reproduce."),
+        Row(HARD, "kg.m^2", None, 1e-16),
+        Row("words", "", HARD, "T3\nin two lines"),
+        Row("equal", "s", 0.45, 0.4501),
+    )
+    return made(
+        rows=rows,
+        figures=figures,
+        numbers={"list": [1, None, 2.5], "yes": True},
+        page_rows=(Row("run time", "s", 540.0, 0.123, "A faster computer."),),
+        page_figures=(Figure("own-time", "Only on the page", "x", "y", (Curve("", [0, 1], [1, 2]),)),),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -88,8 +116,9 @@ def test_a_result_refuses_what_json_and_plots_cannot_hold():
 
 
 def test_numpy_numbers_become_plain_ones():
-    result = Result("s", rows=(Row("q", "V", np.float64(1.5), np.int64(2)),),
-                    numbers={"a": np.arange(2), "b": np.bool_(True)})
+    result = Result(
+        "s", rows=(Row("q", "V", np.float64(1.5), np.int64(2)),), numbers={"a": np.arange(2), "b": np.bool_(True)}
+    )
     assert type(result.rows[0].printed) is float and type(result.rows[0].ours) is int
     assert result.numbers == {"a": [0, 1], "b": True}
 
@@ -106,13 +135,11 @@ def test_random_numbers_depend_on_seed_and_name_alone():
 
 def test_experiments_stand_in_the_order_of_the_thesis():
     numbers = list(experiments())
-    digits = [tuple(map(int, re.findall(r"\d+", number.split("-")[0]))) for number in numbers
-              if number[0].isdigit()]
+    digits = [tuple(map(int, re.findall(r"\d+", number.split("-")[0]))) for number in numbers if number[0].isdigit()]
     assert digits == sorted(digits)
     assert set(QUICK) <= set(numbers)
     # all names without a number come last
-    assert [number[0].isdigit() for number in numbers] == [True] * len(digits) + [False] * (
-        len(numbers) - len(digits))
+    assert [number[0].isdigit() for number in numbers] == [True] * len(digits) + [False] * (len(numbers) - len(digits))
 
 
 def test_find_gives_one_or_a_section_and_names_what_there_is():
@@ -133,8 +160,10 @@ def test_two_modules_cannot_take_one_number():
 
 def test_json_holds_everything_and_nothing_that_changes():
     text = json_text(every_kind(), seed=5)
+
     def refuse(name):
         raise AssertionError(f"{name} is not JSON")
+
     content = json.loads(text, parse_constant=refuse)
     (found,) = content["experiments"]
     assert content["seed"] == 5 and found["number"] == "7.7.1"
@@ -142,8 +171,7 @@ def test_json_holds_everything_and_nothing_that_changes():
     assert found["rows"][1]["ours"] == 1e-16 and found["rows"][1]["printed"] is None
     assert found["numbers"] == {"list": [1, None, 2.5], "yes": True}
     lines, logs, field = found["figures"]
-    assert [curve["label"] for curve in lines["curves"]] == ["line", "gap", "steps", "points",
-                                                            "one point"]
+    assert [curve["label"] for curve in lines["curves"]] == ["line", "gap", "steps", "points", "one point"]
     assert None in lines["curves"][1]["y"] and logs["log_x"] and field["values"][1][1] is None
     assert "run time" not in text and "Only on the page" not in text
 
@@ -162,14 +190,14 @@ def test_json_is_the_same_on_every_run_and_however_it_is_run(quick_results, tmp_
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_progress_goes_from_nought_to_one(jobs):
     seen = []
-    run([experiments()[number] for number in QUICK[1:]], 1, jobs,
-        lambda what, share: seen.append(share))
-    assert all(a <= b for a, b in zip(seen, seen[1:])) and 0.0 <= seen[0] and seen[-1] <= 1.0
+    run([experiments()[number] for number in QUICK[1:]], 1, jobs, lambda what, share: seen.append(share))
+    assert all(a <= b for a, b in zip(seen, seen[1:])) and seen[0] >= 0.0 and seen[-1] <= 1.0
 
 
 def test_a_failing_experiment_is_named():
     def fail(context):
         raise ZeroDivisionError("no gain")
+
     with pytest.raises(RuntimeError, match=r"experiment 9.1 \(Broken\) failed: no gain"):
         run([Experiment("9.1", "Broken", "9", fail)], 1)
 
@@ -190,9 +218,13 @@ def test_thinning_keeps_ends_peaks_and_gaps():
 
 
 def test_dashed_curves_have_the_colour_of_their_partners():
-    figure = Figure("k", "t", "x", "y", tuple(
-        Curve(f"{name} {style}", [0, 1], [0, 1], style) for name in "ab"
-        for style in ("line", "dashed")))
+    figure = Figure(
+        "k",
+        "t",
+        "x",
+        "y",
+        tuple(Curve(f"{name} {style}", [0, 1], [0, 1], style) for name in "ab" for style in ("line", "dashed")),
+    )
     one, one_dashed, two, two_dashed = styles(figure)
     assert one["color"] == one_dashed["color"] != two["color"] == two_dashed["color"]
     assert one["linestyle"] != one_dashed["linestyle"]
@@ -227,16 +259,34 @@ def test_page_is_the_same_on_every_run():
     assert page(every_kind(), seed=1) == page(every_kind(), seed=1)
 
 
-@pytest.mark.parametrize("value, text", [
-    (None, ""), (True, "yes"), (3, "3"), (-0.5, "\u22120.5"), (2.49764, "2.4976"),
-    (1.6e-9, "1.6\u00d710^-9"), ("about 3", "about 3"), (1234567.0, "1.2346\u00d710^6")])
+@pytest.mark.parametrize(
+    "value, text",
+    [
+        (None, ""),
+        (True, "yes"),
+        (3, "3"),
+        (-0.5, "\u22120.5"),
+        (2.49764, "2.4976"),
+        (1.6e-9, "1.6\u00d710^-9"),
+        ("about 3", "about 3"),
+        (1234567.0, "1.2346\u00d710^6"),
+    ],
+)
 def test_numbers_read_well(value, text):
     assert number_text(value) == text
 
 
-@pytest.mark.parametrize("printed, ours, expected", [
-    (7.5, 7.564, False), (7.5, 3.553, True), (None, 1.0, None), ("few", 1.0, None), (0, 0.0, False),
-    (0.0, 1e-3, True)])
+@pytest.mark.parametrize(
+    "printed, ours, expected",
+    [
+        (7.5, 7.564, False),
+        (7.5, 3.553, True),
+        (None, 1.0, None),
+        ("few", 1.0, None),
+        (0, 0.0, False),
+        (0.0, 1e-3, True),
+    ],
+)
 def test_differs(printed, ours, expected):
     assert Row("q", "", printed, ours).differs is expected
     assert Row("q", "", printed, ours, agrees=True).differs is False
@@ -267,12 +317,16 @@ def test_command_lists_runs_and_writes(tmp_path, capsys):
     assert sorted(each.name for each in out.iterdir()) == ["thesis-4.3.html", "thesis-4.3.json"]
 
 
-@pytest.mark.parametrize("arguments, message", [
-    (["9.9"], "no experiment '9.9'; expected one of 2.4"),
-    (["--all", "4.3"], "expected one of the two"),
-    (["4.3", "--seed", "x"], "--seed: 'x'; expected a whole number, 0 or more"),
-    (["4.3", "--jobs", "0"], "--jobs: '0'; expected a whole number, 1 or more"),
-    (["--out", "x"], "nothing to run for --out")])
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        (["9.9"], "no experiment '9.9'; expected one of 2.4"),
+        (["--all", "4.3"], "expected one of the two"),
+        (["4.3", "--seed", "x"], "--seed: 'x'; expected a whole number, 0 or more"),
+        (["4.3", "--jobs", "0"], "--jobs: '0'; expected a whole number, 1 or more"),
+        (["--out", "x"], "nothing to run for --out"),
+    ],
+)
 def test_command_refuses(arguments, message, capsys):
     assert call("thesis", *arguments) == 2
     assert message in capsys.readouterr().err
@@ -322,16 +376,23 @@ def test_browser_draws_every_figure_of_the_experiments(tmp_path, quick_results):
 def test_all_experiments_give_one_page_and_the_same_json_twice(tmp_path):
     for name, jobs in (("a", "2"), ("b", "1")):
         done = subprocess.run(
-            [sys.executable, "-m", "puma_sim_core", "thesis", "--all", "--out", tmp_path / name,
-             "--jobs", jobs], capture_output=True, text=True, timeout=400,
-            env={**os.environ, "PYTHONPATH": str(ROOT)})
+            [sys.executable, "-m", "puma_sim_core", "thesis", "--all", "--out", tmp_path / name, "--jobs", jobs],
+            capture_output=True,
+            text=True,
+            timeout=400,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+        )
         assert (done.returncode, done.stderr) == (0, "")
     first, second = ((tmp_path / name / "thesis.json").read_text("utf-8") for name in "ab")
     assert first == second
     found = json.loads(first)["experiments"]
     assert [each["number"] for each in found] == list(experiments())
-    unexplained = [(each["number"], row["quantity"]) for each in found for row in each["rows"]
-                   if row["agrees"] is False and not row["note"]]
+    unexplained = [
+        (each["number"], row["quantity"])
+        for each in found
+        for row in each["rows"]
+        if row["agrees"] is False and not row["note"]
+    ]
     assert unexplained == []
     text = (tmp_path / "a" / "thesis.html").read_text("utf-8")
     outline = outline_of(text)

@@ -17,16 +17,21 @@ import pytest
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.parameters import load_parameters, parameter_sets
 from puma_sim_core.rigid_body import coriolis, gravity_torque, inertia
-from puma_sim_core.third_order import (acceleration_from_current, current_from_acceleration,
-                                       current_rate, jerk, joint_torque_per_ampere, matrices)
+from puma_sim_core.third_order import (
+    acceleration_from_current,
+    current_from_acceleration,
+    current_rate,
+    jerk,
+    joint_torque_per_ampere,
+    matrices,
+)
 
 FORMS = ("physical", "printed")
 VISCOUS = (0.3, 0.5, 0.2)
 VOLTAGE = np.array([20.0, -15.0, 10.0])
 START = np.array([0.1, -0.4, 0.7]), np.array([0.3, -0.2, 0.5]), np.array([0.5, -1.0, 0.8])
 #: q(0.5 s) from START with VOLTAGE held: regression values of the corrected model
-ENDS = {"physical": (0.68745378, -0.6102092, 1.07667885),
-        "printed": (0.30113443, 0.48721605, 0.90871915)}
+ENDS = {"physical": (0.68745378, -0.6102092, 1.07667885), "printed": (0.30113443, 0.48721605, 0.90871915)}
 
 
 @pytest.fixture(params=parameter_sets())
@@ -37,8 +42,7 @@ def arm(request):
 def random_states(count, seed=5):
     rng = np.random.default_rng(seed)
     for _ in range(count):
-        yield (rng.uniform(-math.pi, math.pi, 3), rng.uniform(-2, 2, 3), rng.uniform(-6, 6, 3),
-               rng.uniform(-40, 40, 3))
+        yield (rng.uniform(-math.pi, math.pi, 3), rng.uniform(-2, 2, 3), rng.uniform(-6, 6, 3), rng.uniform(-40, 40, 3))
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -48,8 +52,7 @@ def test_jerk_is_the_derivative_of_the_acceleration_along_the_current_form(arm, 
     for q, qd, current, v in random_states(30):
         qdd = acceleration_from_current(q, qd, current, arm, VISCOUS, form)
         rate = current_rate(qd, current, v, arm)
-        flow = acceleration_from_current(q + e * qd, qd + e * qdd, current + e * rate, arm,
-                                         VISCOUS, form)
+        flow = acceleration_from_current(q + e * qd, qd + e * qdd, current + e * rate, arm, VISCOUS, form)
         expected = flow.imag / e.imag
         result = jerk(q, qd, qdd, v, arm, VISCOUS, form)
         assert np.max(np.abs(result - expected)) <= 1e-10 * np.max(np.abs(expected))
@@ -68,13 +71,17 @@ def test_named_matrices_add_up_to_the_row_of_the_model(arm, form):
             return function(q + 1j * h * qd, arm).imag / h
 
         force = d @ qdd + np.einsum("ijk,j,k->i", c, qd, qd) + VISCOUS * qd + gravity_torque(q, arm)
-        rest = (dot(inertia) @ qdd + 2 * np.einsum("ijk,j,k->i", c, qd, qdd)
-                + np.einsum("ijk,j,k->i", dot(coriolis), qd, qd) + VISCOUS * qdd
-                + dot(gravity_torque))
+        rest = (
+            dot(inertia) @ qdd
+            + 2 * np.einsum("ijk,j,k->i", c, qd, qdd)
+            + np.einsum("ijk,j,k->i", dot(coriolis), qd, qd)
+            + VISCOUS * qdd
+            + dot(gravity_torque)
+        )
         constant = joint_torque_per_ampere(arm, form)
         emf = np.array([motor.back_emf * motor.gear_ratio for motor in arm.motors])
         left = v - emf * qd - 1.6 / constant * force - 0.0048 / constant * rest
-        named = (v - (m.FMAT + m.BMAT + m.GMAT + m.HMAT) @ qdd - (m.JKMAT + m.KMAT) @ qd - m.LMAT)
+        named = v - (m.FMAT + m.BMAT + m.GMAT + m.HMAT) @ qdd - (m.JKMAT + m.KMAT) @ qd - m.LMAT
         np.testing.assert_allclose(named, left, rtol=0, atol=1e-10 * np.max(np.abs(left)))
         np.testing.assert_allclose(m.Dbar, m.LKMAT @ d, rtol=1e-14)
 
@@ -90,8 +97,7 @@ def test_states_convert_into_each_other(arm, form):
 def test_a_still_arm_needs_the_current_of_its_weight(arm):
     q = np.array([0.4, -0.3, 1.1])
     current = current_from_acceleration(q, np.zeros(3), np.zeros(3), arm)
-    np.testing.assert_allclose(joint_torque_per_ampere(arm) * current, gravity_torque(q, arm),
-                               atol=1e-12)
+    np.testing.assert_allclose(joint_torque_per_ampere(arm) * current, gravity_torque(q, arm), atol=1e-12)
     # and the voltage of that current through the resistance keeps it so
     v = np.array([motor.resistance for motor in arm.motors]) * current
     assert np.max(np.abs(jerk(q, np.zeros(3), np.zeros(3), v, arm))) < 1e-10
@@ -108,14 +114,17 @@ def test_both_forms_reach_the_regression_values(form):
         return np.concatenate([x[3:], jerk(x[:3], x[3:6], x[6:], VOLTAGE, arm, VISCOUS, form)])
 
     def with_currents(_, x):
-        return np.concatenate([
-            x[3:6], acceleration_from_current(x[:3], x[3:6], x[6:], arm, VISCOUS, form),
-            current_rate(x[3:6], x[6:], VOLTAGE, arm)])
+        return np.concatenate(
+            [
+                x[3:6],
+                acceleration_from_current(x[:3], x[3:6], x[6:], arm, VISCOUS, form),
+                current_rate(x[3:6], x[6:], VOLTAGE, arm),
+            ]
+        )
 
     ends = []
     for function, state in ((third_order, [q, qd, qdd]), (with_currents, [q, qd, current])):
-        run = integrate.solve_ivp(function, (0.0, 0.5), np.concatenate(state), method="DOP853",
-                                  rtol=1e-12, atol=1e-13)
+        run = integrate.solve_ivp(function, (0.0, 0.5), np.concatenate(state), method="DOP853", rtol=1e-12, atol=1e-13)
         assert run.success
         ends.append(run.y[:, -1])
         np.testing.assert_allclose(run.y[:3, -1], ENDS[form], rtol=0, atol=1e-7)
@@ -123,8 +132,11 @@ def test_both_forms_reach_the_regression_values(form):
     third, currents = ends
     np.testing.assert_allclose(third[:6], currents[:6], rtol=0, atol=1e-10)
     np.testing.assert_allclose(
-        third[6:], acceleration_from_current(currents[:3], currents[3:6], currents[6:], arm,
-                                             VISCOUS, form), rtol=0, atol=1e-8)
+        third[6:],
+        acceleration_from_current(currents[:3], currents[3:6], currents[6:], arm, VISCOUS, form),
+        rtol=0,
+        atol=1e-8,
+    )
 
 
 def test_effect_of_the_misprint_in_equation_5_7_is_seen():
@@ -139,8 +151,7 @@ def test_effect_of_the_misprint_in_equation_5_7_is_seen():
 
 def test_motor_constants_may_differ_between_joints():
     arm = load_parameters("bejczy")
-    motors = (arm.motors[0], replace(arm.motors[1], resistance=0.8, inductance=0.002),
-              arm.motors[2])
+    motors = (arm.motors[0], replace(arm.motors[1], resistance=0.8, inductance=0.002), arm.motors[2])
     other = replace(arm, motors=motors)
     q, qd, current = START
     e = 1e-40j

@@ -9,8 +9,20 @@ import pytest
 from arm_reference import bits, open_circuit, plant_of, smooth_voltages
 from hypothesis import given
 from hypothesis import strategies as st
-from two_mass_support import (HELD, POSE, SHARE, VISCOUS, Oracle, drift, elastic, free_only, masses,
-                              rest, started, weightless)
+from two_mass_support import (
+    HELD,
+    POSE,
+    SHARE,
+    VISCOUS,
+    Oracle,
+    drift,
+    elastic,
+    free_only,
+    masses,
+    rest,
+    started,
+    weightless,
+)
 
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.effects.transmission import gear_output, in_series, transmitted
@@ -26,8 +38,7 @@ def test_play_on_one_joint_and_elasticity_on_another_move_as_their_equations_say
     effects = ["backlash:joint=1,gap=0.002,stiffness=3e4,damping=40", elastic(3, 5e3, 2.0)]
     simulator = started(plant_of(*effects, *VISCOUS), max_step=1e-4)
     time = np.arange(0.0, 0.24, 0.02)
-    volts = np.column_stack([np.where(time < 0.1, 10.0, -14.0), 0 * time - 4,
-                             5 * np.cos(9 * time)])
+    volts = np.column_stack([np.where(time < 0.1, 10.0, -14.0), 0 * time - 4, 5 * np.cos(9 * time)])
     oracle = Oracle(simulator.plant, {0: (3e4, 40.0, 0.002), 2: (5e3, 2.0, 0.0)}, {})
     expected = oracle.run(simulator, time, volts, 1e-7, max_step=5e-4)
     found = simulator.run(time, volts)
@@ -39,9 +50,11 @@ def test_play_on_one_joint_and_elasticity_on_another_move_as_their_equations_say
 
 
 def test_play_without_damping_keeps_the_energy():
-    effects = ["backlash:joint=2,gap=0.004,stiffness=2e4,damping=0",
-               "backlash:joint=3,gap=0.004,stiffness=1e4,damping=0",
-               "transmission_error:joint=1,amplitude=0.01,order=6"]
+    effects = [
+        "backlash:joint=2,gap=0.004,stiffness=2e4,damping=0",
+        "backlash:joint=3,gap=0.004,stiffness=1e4,damping=0",
+        "transmission_error:joint=1,amplitude=0.01,order=6",
+    ]
     assert drift(effects, {2: (2e4, 0.004), 3: (1e4, 0.004)}, 2e-4) < 2e-3
 
 
@@ -68,14 +81,12 @@ def test_a_rotor_inside_the_gap_feels_nothing():
     # after the knock, the momentum of both is what the rotor brought
     rotor, link = masses(plant, 1)
     assert np.ptp(run.velocity[:, 0]) > 0.01
-    M = inertia(motion[-1, :3], plant.arm) + np.diag((1 - SHARE) * plant.arm.motor_inertia
-                                                     * (1, 0, 0))
+    M = inertia(motion[-1, :3], plant.arm) + np.diag((1 - SHARE) * plant.arm.motor_inertia * (1, 0, 0))
     momentum = rotor * run.velocity[-1, 0] + M[0] @ motion[-1, 3:]
     assert momentum == pytest.approx(rotor * 0.05, rel=1e-9)
 
 
-@given(st.floats(-0.01, 0.01), st.floats(-5.0, 5.0), st.floats(1e-5, 0.01), st.floats(1e3, 1e6),
-       st.floats(0.0, 1000.0))
+@given(st.floats(-0.01, 0.01), st.floats(-5.0, 5.0), st.floats(1e-5, 0.01), st.floats(1e3, 1e6), st.floats(0.0, 1000.0))
 def test_teeth_push_and_never_pull(twist, rate, gap, stiffness, damping):
     law = getattr(transmitted, "py_func", transmitted)
     train = [1.0, stiffness, damping, gap / 2, 1.0, 0.0, 0.0, 0.0]
@@ -90,10 +101,9 @@ def test_teeth_push_and_never_pull(twist, rate, gap, stiffness, damping):
 
 def test_play_and_elasticity_of_one_joint_act_in_series():
     K, B = in_series([(2e4, 5.0), (2e5, 100.0)])
-    assert 1 / K == pytest.approx(1 / 2e4 + 1 / 2e5)
+    assert pytest.approx(1 / 2e4 + 1 / 2e5) == 1 / K
     s = 1j * 1e-3  # far below resonance both springs share one torque
-    assert (K + s * B).imag == pytest.approx(
-        (1 / (1 / (2e4 + s * 5.0) + 1 / (2e5 + s * 100.0))).imag, rel=1e-9)
+    assert (K + s * B).imag == pytest.approx((1 / (1 / (2e4 + s * 5.0) + 1 / (2e5 + s * 100.0))).imag, rel=1e-9)
     both = plant_of("backlash:joint=2,gap=0.001,stiffness=2e5,damping=100", elastic(2, 2e4, 5.0))
     one = plant_of(f"backlash:joint=2,gap=0.001,stiffness={K!r},damping={B!r}")
     ends = [rest(started(plant), 0.2, 0.01)[0].position for plant in (both, one)]
@@ -106,10 +116,11 @@ def test_play_and_elasticity_of_one_joint_act_in_series():
 def test_a_soft_rotor_that_sticks_is_a_held_one():
     time, volts = smooth_voltages((4.0, 3.0, 2.0), 0.5, 0.01)
     ends = []
-    for effects, constraints in ((["coulomb_friction:joint=2,torque=500"], (Constraint(),) * 3),
-                                 ([], free_only(1)[:1] + HELD[:1] + free_only(3)[2:])):
-        simulator = started(plant_of(elastic(2, 3e3), *effects), constraints,
-                            links=(*POSE, 0.0, 0.0, 0.0))
+    for effects, constraints in (
+        (["coulomb_friction:joint=2,torque=500"], (Constraint(),) * 3),
+        ([], free_only(1)[:1] + HELD[:1] + free_only(3)[2:]),
+    ):
+        simulator = started(plant_of(elastic(2, 3e3), *effects), constraints, links=(*POSE, 0.0, 0.0, 0.0))
         run = simulator.run(time, volts)
         assert np.ptp(simulator.link_motion[:, 1]) > 1e-3
         ends.append(np.hstack([run.position, run.velocity, simulator.link_motion]))
@@ -120,8 +131,7 @@ def test_friction_acts_on_the_rotor_and_holds_it_to_the_newton():
     # the rotor stays while the spring carries less than the level, and goes where it carries more
     level, stiffness, joint = 8.0, 5e3, 1
     for twist, moves in ((0.99, False), (1.01, True)):
-        plant = weightless(plant_of(elastic(joint, stiffness),
-                                    f"coulomb_friction:joint={joint},torque={level}"))
+        plant = weightless(plant_of(elastic(joint, stiffness), f"coulomb_friction:joint={joint},torque={level}"))
         links = (POSE[0] - twist * level / stiffness, *POSE[1:], 0.0, 0.0, 0.0)
         run, _ = rest(started(plant, free_only(joint), links), 0.02, 1e-3)
         assert (run.velocity[:, 0] != 0.0).any() == moves
@@ -164,18 +174,17 @@ def test_a_link_behind_an_error_is_where_the_gear_puts_it():
     assert np.ptp(angle) > 3.0
     expected = run.position[:, 2] + e * np.sin(angle)
     assert simulator.link_motion[:, 2] == pytest.approx(expected, abs=1e-15)
-    assert simulator.link_motion[:, 5] == pytest.approx(
-        run.velocity[:, 2] * (1 + 30.0 * e * np.cos(angle)), abs=1e-15)
+    assert simulator.link_motion[:, 5] == pytest.approx(run.velocity[:, 2] * (1 + 30.0 * e * np.cos(angle)), abs=1e-15)
     assert bits(simulator.link_motion[:, :2]) == bits(run.position[:, :2])
 
 
-@pytest.mark.parametrize("effect", ["backlash:joint=2,gap=0",
-                                    "transmission_error:joint=3,amplitude=0,order=9"])
+@pytest.mark.parametrize("effect", ["backlash:joint=2,gap=0", "transmission_error:joint=3,amplitude=0,order=9"])
 def test_without_play_or_error_the_plant_is_the_plain_one(effect):
     time, volts = smooth_voltages((6.0, 9.0, 5.0), 0.5)
     assert plant_of(effect).constants.active == 0
     assert bits(started(plant_of(effect)).run(time, volts).position) == bits(
-        started(plant_of()).run(time, volts).position)
+        started(plant_of()).run(time, volts).position
+    )
 
 
 def test_a_pendulum_behind_a_held_motor_swings_on_its_spring_and_its_weight():
@@ -186,7 +195,7 @@ def test_a_pendulum_behind_a_held_motor_swings_on_its_spring_and_its_weight():
     simulator.links = (0.0, 0.0, 1e-4, 0.0, 0.0, 0.0)
     time = np.arange(0.0, 0.2, 5e-4)
     run = simulator.run(time, np.zeros((len(time), 1)))
-    moment = mass * length ** 2 + (1 - SHARE) * inertia_of_motor
+    moment = mass * length**2 + (1 - SHARE) * inertia_of_motor
     expected = 1e-4 * np.cos(np.sqrt((stiffness + mass * 9.81 * length) / moment) * time)
     assert np.all(run.position == 0.0)
     assert simulator.link_motion[:, 2] == pytest.approx(expected, abs=2e-6)

@@ -34,8 +34,7 @@ def urdf_frames(text, angles):
     robot = ET.fromstring(text)
     joints = robot.findall("joint")
     children = {joint.find("child").get("link") for joint in joints}
-    (root,) = [link.get("name") for link in robot.findall("link")
-               if link.get("name") not in children]
+    (root,) = [link.get("name") for link in robot.findall("link") if link.get("name") not in children]
     frames = {root: np.eye(4)}
     for joint in joints:  # the text lists parents before children
         local = np.eye(4)
@@ -48,8 +47,7 @@ def urdf_frames(text, angles):
             turn = np.eye(4)
             turn[:2, :2] = [[c, -s], [s, c]]
             local = local @ turn
-        frames[joint.find("child").get("link")] = \
-            frames[joint.find("parent").get("link")] @ local
+        frames[joint.find("child").get("link")] = frames[joint.find("parent").get("link")] @ local
     return root, frames
 
 
@@ -94,18 +92,18 @@ def test_the_l_pose_has_a_horizontal_upper_arm_and_a_vertical_forearm(arm):
 @pytest.mark.parametrize("name", parameter_sets())
 def test_limits_are_those_of_the_parameter_set(name):
     arm = load_parameters(name)
-    limits = [joint.find("limit") for joint in ET.fromstring(arm_urdf(arm)).findall("joint")
-              if joint.get("type") == "revolute"]
-    assert [(float(x.get("lower")), float(x.get("upper"))) for x in limits] == \
-        [tuple(r) for r in arm.joint_ranges]
+    limits = [
+        joint.find("limit")
+        for joint in ET.fromstring(arm_urdf(arm)).findall("joint")
+        if joint.get("type") == "revolute"
+    ]
+    assert [(float(x.get("lower")), float(x.get("upper"))) for x in limits] == [tuple(r) for r in arm.joint_ranges]
     assert all(float(x.get("effort")) > 0 and float(x.get("velocity")) > 0 for x in limits)
 
 
 def test_no_load_speed_at_40_volts():
-    limits = [joint.find("limit") for joint in
-              ET.fromstring(arm_urdf(load_parameters("bejczy"))).findall("joint")[:3]]
-    assert [float(x.get("velocity")) for x in limits] == \
-        pytest.approx([2.4596, 1.4270, 2.8687], abs=5e-5)
+    limits = [joint.find("limit") for joint in ET.fromstring(arm_urdf(load_parameters("bejczy"))).findall("joint")[:3]]
+    assert [float(x.get("velocity")) for x in limits] == pytest.approx([2.4596, 1.4270, 2.8687], abs=5e-5)
 
 
 def test_names_are_those_asked_for():

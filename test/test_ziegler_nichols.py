@@ -14,13 +14,25 @@ from cli_support import call
 from scipy.integrate import solve_ivp
 
 from puma_sim_core.backend import BACKEND
-from puma_sim_core.control.linear import (is_linear, least_damped, linearised, pid_loop,
-                                          proportional_loop, radius, sampled)
+from puma_sim_core.control.linear import (
+    is_linear,
+    least_damped,
+    linearised,
+    pid_loop,
+    proportional_loop,
+    radius,
+    sampled,
+)
 from puma_sim_core.control.pid import PidGains
 from puma_sim_core.control.servo import ServoConfig
-from puma_sim_core.control.ziegler_nichols import (Loop, Ultimate, settings,
-                                                   ultimate_by_eigenvalues,
-                                                   ultimate_by_simulation, ultimate_map)
+from puma_sim_core.control.ziegler_nichols import (
+    Loop,
+    Ultimate,
+    settings,
+    ultimate_by_eigenvalues,
+    ultimate_by_simulation,
+    ultimate_map,
+)
 from puma_sim_core.errors import LimitError, ParameterError, TuningError
 from puma_sim_core.parameters import load_parameters
 from puma_sim_core.plant import Plant
@@ -32,19 +44,21 @@ UPRIGHT, HORIZONTAL = (0.0, -pi / 2, pi / 2), (0.0, 0.0, pi / 2)
 FOLDED = (0.0, -pi / 2 + 0.1143, -0.9075)
 #: joint, pose, and Kmax, Tp at 28/30 ms, and at 28 ms with one sample of delay (found for the
 #: exactly sampled joint before this package had the function)
-KNOWN = [(1, UPRIGHT, 4703, 0.0454, 489, 0.227), (1, HORIZONTAL, 4696, 0.0706, 428, 0.297),
-         (2, UPRIGHT, 8110, 0.0419, 863, 0.219), (2, FOLDED, 8119, 0.0360, 905, 0.205),
-         (3, UPRIGHT, 4039, 0.0356, 452, 0.204)]
+KNOWN = [
+    (1, UPRIGHT, 4703, 0.0454, 489, 0.227),
+    (1, HORIZONTAL, 4696, 0.0706, 428, 0.297),
+    (2, UPRIGHT, 8110, 0.0419, 863, 0.219),
+    (2, FOLDED, 8119, 0.0360, 905, 0.205),
+    (3, UPRIGHT, 4039, 0.0356, 452, 0.204),
+]
 
 
 @pytest.mark.parametrize("joint, pose, gain, period, slow_gain, slow_period", KNOWN)
 def test_known_gains_of_the_five_poses(joint, pose, gain, period, slow_gain, slow_period):
     found = ultimate_by_eigenvalues(Loop(Plant.of(), joint, pose))
-    assert (found.gain, found.period) == (pytest.approx(gain, abs=0.51),
-                                          pytest.approx(period, abs=5.1e-5))
+    assert (found.gain, found.period) == (pytest.approx(gain, abs=0.51), pytest.approx(period, abs=5.1e-5))
     slow = ultimate_by_eigenvalues(Loop(Plant.of(), joint, pose, 0.028, 1))
-    assert (slow.gain, slow.period) == (pytest.approx(slow_gain, abs=0.51),
-                                        pytest.approx(slow_period, abs=5.1e-4))
+    assert (slow.gain, slow.period) == (pytest.approx(slow_gain, abs=0.51), pytest.approx(slow_period, abs=5.1e-4))
 
 
 def random_loops(count):
@@ -53,13 +67,19 @@ def random_loops(count):
     loops = []
     for n in range(count):
         arm = load_parameters(["bejczy", "armstrong", "corke_armstrong_1994"][n % 3])
-        effects = [f"viscous_friction:joint={j},coefficient={random.uniform(0, 10)}"
-                   for j in (1, 2, 3)] if n % 2 else []
-        plant = replace(plant_of(*effects), arm=arm,
-                        torque_form="printed" if n % 7 == 6 else "physical")
-        loops.append(Loop(plant, n % 3 + 1, [random.uniform(*pair) for pair in arm.joint_ranges],
-                          float(np.exp(random.uniform(np.log(4e-4), np.log(0.04)))),
-                          int(random.integers(0, 8))))
+        effects = (
+            [f"viscous_friction:joint={j},coefficient={random.uniform(0, 10)}" for j in (1, 2, 3)] if n % 2 else []
+        )
+        plant = replace(plant_of(*effects), arm=arm, torque_form="printed" if n % 7 == 6 else "physical")
+        loops.append(
+            Loop(
+                plant,
+                n % 3 + 1,
+                [random.uniform(*pair) for pair in arm.joint_ranges],
+                float(np.exp(random.uniform(np.log(4e-4), np.log(0.04)))),
+                int(random.integers(0, 8)),
+            )
+        )
     return loops
 
 
@@ -68,8 +88,11 @@ compiled = pytest.mark.skipif(BACKEND != "numba", reason="long runs: compiled ke
 
 
 @compiled
-@pytest.mark.parametrize("loop", random_loops(18), ids=lambda loop: (
-    f"{loop.plant.arm.name}-{loop.joint}-{loop.period * 1e3:.2f}ms-{loop.delay}"))
+@pytest.mark.parametrize(
+    "loop",
+    random_loops(18),
+    ids=lambda loop: f"{loop.plant.arm.name}-{loop.joint}-{loop.period * 1e3:.2f}ms-{loop.delay}",
+)
 def test_simulation_and_eigenvalues_agree(loop):
     exact, simulated = ultimate_by_eigenvalues(loop), ultimate_by_simulation(loop)
     assert simulated.gain == pytest.approx(exact.gain, rel=0.03)
@@ -118,15 +141,13 @@ def test_sampling_is_the_solution_of_the_differential_equation():
     a, b = linearised(Plant.of(), UPRIGHT, (2,))
     f, g = sampled(a, b, 0.01)
     start, volts = np.array([0.01, -0.2, 0.5]), 3.0
-    run = solve_ivp(lambda t, x: a @ x + b[:, 0] * volts, (0.0, 0.01), start, rtol=1e-11,
-                    atol=1e-13)
+    run = solve_ivp(lambda t, x: a @ x + b[:, 0] * volts, (0.0, 0.01), start, rtol=1e-11, atol=1e-13)
     np.testing.assert_allclose(f @ start + g[:, 0] * volts, run.y[:, -1], rtol=1e-8)
 
 
 @pytest.mark.parametrize("delay", [0, 3])
 def test_pid_loop_predicts_the_simulated_servo(delay):
-    plant, gains = Plant.of(), (PidGains(900.0, 0.2, 0.03), PidGains(1600.0), PidGains(
-        800.0, inf, 0.02))
+    plant, gains = Plant.of(), (PidGains(900.0, 0.2, 0.03), PidGains(1600.0), PidGains(800.0, inf, 0.02))
     # where gravity is balanced, links 2 and 3 both on end
     k = lumped_constants(plant.arm)
     q2 = np.arctan2(-k.g3, k.g4) - pi
@@ -137,8 +158,7 @@ def test_pid_loop_predicts_the_simulated_servo(delay):
     simulator = Simulator(plant)
     small = np.array([1e-6, -2e-6, 1.5e-6])
     simulator.reset(pose + small)
-    record = simulator.run_servo(np.tile(pose, (4, 1)), ServoConfig(gains, delay_samples=delay),
-                                 voltage_limit=inf)
+    record = simulator.run_servo(np.tile(pose, (4, 1)), ServoConfig(gains, delay_samples=delay), voltage_limit=inf)
     x = np.zeros(len(loop))
     x[:3] = small
     x[10:12] = small[[0, 2]]  # the last positions, behind the one sum
@@ -153,8 +173,7 @@ def test_a_map_is_the_same_as_pose_after_pose():
     gain, period, least = ultimate_map(plant, 2, poses, delay=2)
     for at in np.ndindex(2, 2):
         one = ultimate_by_eigenvalues(Loop(plant, 2, poses[at], delay=2))
-        assert (gain[at], period[at]) == (pytest.approx(one.gain, rel=1e-8),
-                                          pytest.approx(one.period, rel=1e-8))
+        assert (gain[at], period[at]) == (pytest.approx(one.gain, rel=1e-8), pytest.approx(one.period, rel=1e-8))
         assert least[at] == pytest.approx(one.least_gain, rel=1e-8)
 
 
@@ -181,16 +200,15 @@ def test_settings_of_table_7_2():
 
 def test_damping_of_a_known_oscillator():
     ratio, speed, step = 0.2, 9.0, 0.01
-    a = np.array([[0.0, 1.0], [-speed ** 2, -2.0 * ratio * speed]])
+    a = np.array([[0.0, 1.0], [-(speed**2), -2.0 * ratio * speed]])
     f, _ = sampled(a, np.zeros((2, 1)), step)
     found, period = least_damped(f, step)
     assert found == pytest.approx(ratio, rel=1e-9)
-    assert period == pytest.approx(2.0 * pi / (speed * (1.0 - ratio ** 2) ** 0.5), rel=1e-9)
+    assert period == pytest.approx(2.0 * pi / (speed * (1.0 - ratio**2) ** 0.5), rel=1e-9)
     assert np.isnan(least_damped(np.diag([0.5, 0.9]), step)).all()
 
 
-@pytest.mark.parametrize("method", [ultimate_by_eigenvalues, pytest.param(
-    ultimate_by_simulation, marks=compiled)])
+@pytest.mark.parametrize("method", [ultimate_by_eigenvalues, pytest.param(ultimate_by_simulation, marks=compiled)])
 def test_requests_without_an_answer_are_refused(method):
     with pytest.raises(TuningError, match="no ultimate gain below 3000 V/rad"):
         method(Loop(Plant.of(), 3, UPRIGHT), limit=3000.0)
@@ -201,14 +219,17 @@ def test_requests_without_an_answer_are_refused(method):
         method(Loop(Plant.of(), 3, UPRIGHT), limit=-1.0)
 
 
-@pytest.mark.parametrize("arguments, error, message", [
-    (dict(pose=(0.0, 1.0, 0.0)), LimitError, r"pose: joint 2 at 57\.\d+ deg; expected -223 to 43"),
-    (dict(pose=(0.0, 0.0, np.nan)), ParameterError, "pose"),
-    (dict(joint=4), ParameterError, "joint 4; expected 1, 2 or 3"),
-    (dict(period=0.0), ParameterError, "period 0.0 s"),
-    (dict(delay=-1), ParameterError, "delay -1"),
-    (dict(delay=1.0), ParameterError, "delay 1.0; expected a whole number"),
-])
+@pytest.mark.parametrize(
+    "arguments, error, message",
+    [
+        (dict(pose=(0.0, 1.0, 0.0)), LimitError, r"pose: joint 2 at 57\.\d+ deg; expected -223 to 43"),
+        (dict(pose=(0.0, 0.0, np.nan)), ParameterError, "pose"),
+        (dict(joint=4), ParameterError, "joint 4; expected 1, 2 or 3"),
+        (dict(period=0.0), ParameterError, "period 0.0 s"),
+        (dict(delay=-1), ParameterError, "delay -1"),
+        (dict(delay=1.0), ParameterError, "delay 1.0; expected a whole number"),
+    ],
+)
 def test_loops_that_cannot_be_are_refused(arguments, error, message):
     with pytest.raises(error, match=message):
         Loop(**{"plant": Plant.of(), "joint": 1, "pose": UPRIGHT, **arguments})
@@ -216,8 +237,7 @@ def test_loops_that_cannot_be_are_refused(arguments, error, message):
 
 def test_locked_joints_are_truly_locked():
     # the pose of a locked joint cannot move, whatever the other does
-    simulator = Simulator(Plant.of(), constraints=(Constraint(), Constraint("hold"),
-                                                   Constraint("hold")))
+    simulator = Simulator(Plant.of(), constraints=(Constraint(), Constraint("hold"), Constraint("hold")))
     a, _ = linearised(simulator.plant, HORIZONTAL, (1,))
     simulator.reset(HORIZONTAL, current=(1.0, 0.0, 0.0))
     simulator.step((1.6, 0.0, 0.0), 1e-5)
@@ -240,8 +260,24 @@ def test_command_prints_both_methods_and_table_7_2(capsys):
 
 
 def test_command_takes_rate_delay_and_plant(capsys):
-    assert call("tune", "--joint", 1, "--period", 0.028, "--delay", 1, "--method", "eigenvalues",
-                "--effect", "payload:mass=2", "--effect", "coulomb_friction:joint=1,torque=3") == 0
+    assert (
+        call(
+            "tune",
+            "--joint",
+            1,
+            "--period",
+            0.028,
+            "--delay",
+            1,
+            "--method",
+            "eigenvalues",
+            "--effect",
+            "payload:mass=2",
+            "--effect",
+            "coulomb_friction:joint=1,torque=3",
+        )
+        == 0
+    )
     text = capsys.readouterr().out
     plant = plant_of("payload:mass=2")
     found = ultimate_by_eigenvalues(Loop(plant, 1, (0, 0, 0), 0.028, 1))
@@ -249,13 +285,16 @@ def test_command_takes_rate_delay_and_plant(capsys):
     assert "note: the plant has friction" in text
 
 
-@pytest.mark.parametrize("arguments, message", [
-    (("--joint", 2, "--pose", "0,90,0"), "joint 2 at 90 deg; expected -223 to 43 deg"),
-    (("--joint", 3, "--limit", 100, "--method", "eigenvalues"), "no ultimate gain below 100 V/rad"),
-    (("--joint", "two"), "--joint: 'two'; expected a whole number"),
-    (("--joint", 4), "joint 4; expected 1, 2 or 3"),
-    (("--joint", 1, "--pose", "0,0"), "--pose: '0,0'; expected three finite numbers"),
-])
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        (("--joint", 2, "--pose", "0,90,0"), "joint 2 at 90 deg; expected -223 to 43 deg"),
+        (("--joint", 3, "--limit", 100, "--method", "eigenvalues"), "no ultimate gain below 100 V/rad"),
+        (("--joint", "two"), "--joint: 'two'; expected a whole number"),
+        (("--joint", 4), "joint 4; expected 1, 2 or 3"),
+        (("--joint", 1, "--pose", "0,0"), "--pose: '0,0'; expected three finite numbers"),
+    ],
+)
 def test_command_refuses_in_one_line(arguments, message, capsys):
     assert call("tune", *arguments) == 2
     error = capsys.readouterr().err

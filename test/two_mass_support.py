@@ -40,8 +40,15 @@ def masses(plant, joint, pose=POSE):
     return SHARE * own, inertia(pose, plant.loaded_arm)[joint - 1, joint - 1] + (1 - SHARE) * own
 
 
-def started(plant, constraints=(Constraint(),) * 3, links=None, max_step=SERVO_PERIOD,
-            position=POSE, velocity=None, current=(0.0, 0.0, 0.0)):
+def started(
+    plant,
+    constraints=(Constraint(),) * 3,
+    links=None,
+    max_step=SERVO_PERIOD,
+    position=POSE,
+    velocity=None,
+    current=(0.0, 0.0, 0.0),
+):
     simulator = Simulator(plant, constraints=constraints, max_step=max_step)
     simulator.reset(position, velocity, current)
     if links is not None:
@@ -63,8 +70,7 @@ class Oracle:
         self.plant, self.spring, self.wave = plant, spring, wave
         self.soft = sorted(spring)
         self.own = np.array(plant.arm.motor_inertia)
-        self.link = np.diag([(1 - SHARE) * a if j in spring else 0.0
-                             for j, a in enumerate(self.own)])
+        self.link = np.diag([(1 - SHARE) * a if j in spring else 0.0 for j, a in enumerate(self.own)])
 
     def gear(self, q):
         u, slope, bend = np.array(q), np.ones(3), np.zeros(3)
@@ -87,7 +93,7 @@ class Oracle:
         q, w, current, n = y[:3], y[3:6], y[6:9], len(self.soft)
         u, slope, bend = self.gear(q)
         ql, wl = u.copy(), slope * w
-        ql[self.soft], wl[self.soft] = y[9:9 + n], y[9 + n:]
+        ql[self.soft], wl[self.soft] = y[9 : 9 + n], y[9 + n :]
         motor = np.array(plant.torque_per_ampere) * current - np.array(plant.viscous_friction) * w
         tau = np.zeros(3)
         for j in self.soft:
@@ -108,19 +114,22 @@ class Oracle:
         right = J.T @ (tau - c - M @ excess)
         right[:3] += motor - slope * tau
         a = np.linalg.solve(left, right)
-        R, L, ke, N = (np.array([getattr(m, name) for m in plant.arm.motors])
-                       for name in ("resistance", "inductance", "back_emf", "gear_ratio"))
-        return np.concatenate([w, a[:3], (voltage - R * current - ke * N * w) / L,
-                               y[9 + n:], a[3:]])
+        R, L, ke, N = (
+            np.array([getattr(m, name) for m in plant.arm.motors])
+            for name in ("resistance", "inductance", "back_emf", "gear_ratio")
+        )
+        return np.concatenate([w, a[:3], (voltage - R * current - ke * N * w) / L, y[9 + n :], a[3:]])
 
     def run(self, simulator, time, volts, tolerance, max_step=np.inf):
         """States at the rows, from the simulator's own start."""
-        y = np.array([*simulator.state, *(simulator.links[j] for j in self.soft),
-                      *(simulator.links[3 + j] for j in self.soft)])
+        y = np.array(
+            [*simulator.state, *(simulator.links[j] for j in self.soft), *(simulator.links[3 + j] for j in self.soft)]
+        )
         rows = [y]
         for begin, end, v in zip(time[:-1], time[1:], volts):
-            y = solve_ivp(self, (begin, end), y, args=(v,), method="DOP853", rtol=tolerance,
-                          atol=1e-12, max_step=max_step).y[:, -1]
+            y = solve_ivp(
+                self, (begin, end), y, args=(v,), method="DOP853", rtol=tolerance, atol=1e-12, max_step=max_step
+            ).y[:, -1]
             rows.append(y)
         return np.array(rows)
 
@@ -142,5 +151,7 @@ def whole_energy(plant, run, motion, r, springs):
 def drift(effects, springs, max_step):
     plant = open_circuit(plant_of(*effects))
     run, motion = rest(started(plant, max_step=max_step, position=(0.1, -0.4, 0.7)), 0.4, 0.02)
-    return max(abs(whole_energy(plant, run, motion, r, springs)
-                   - whole_energy(plant, run, motion, 0, springs)) for r in range(len(run.time)))
+    return max(
+        abs(whole_energy(plant, run, motion, r, springs) - whole_energy(plant, run, motion, 0, springs))
+        for r in range(len(run.time))
+    )

@@ -133,9 +133,7 @@ class FixedMessage:
         ``std_msgs/Float64MultiArray``.
     """
 
-    def __init__(
-        self, counts: Sequence[int], names: Sequence[str] | None = None, frame_id: str = ""
-    ):
+    def __init__(self, counts: Sequence[int], names: Sequence[str] | None = None, frame_id: str = ""):
         store = typestore()
         mark = struct.unpack("<d", _MARK)[0]
         arrays = [np.full(count, mark) for count in counts]
@@ -187,9 +185,7 @@ class FixedMessage:
         rows = np.frombuffer(b"".join(messages), np.uint8).reshape(len(messages), self.size)
         same = (rows[:, self._constant] == self._constant_bytes).all(axis=1)
         if not same.all():
-            raise MismatchError(
-                int(np.argmin(same)), "other names or array sizes", "those of the first state"
-            )
+            raise MismatchError(int(np.argmin(same)), "other names or array sizes", "those of the first state")
 
         def columns(offset: int, size: int, kind: str) -> np.ndarray:
             return np.ascontiguousarray(rows[:, offset : offset + size]).view(kind)
@@ -199,9 +195,7 @@ class FixedMessage:
             seconds = columns(_STAMP_OFFSET, 4, "<i4")[:, 0].astype(np.int64)
             stamps = seconds * 1_000_000_000 + columns(_STAMP_OFFSET + 4, 4, "<u4")[:, 0]
         arrays = [
-            columns(offset, packer.size, "<f8").astype(float)
-            if packer.size
-            else np.empty((len(messages), 0))
+            columns(offset, packer.size, "<f8").astype(float) if packer.size else np.empty((len(messages), 0))
             for offset, packer in self._arrays
         ]
         return stamps, arrays

@@ -26,9 +26,7 @@ class TopicCount(NamedTuple):
     count: int
 
 
-def information(
-    topics: Iterable[TopicCount], last_ns: int, file_name: str | None = None
-) -> dict[str, object]:
+def information(topics: Iterable[TopicCount], last_ns: int, file_name: str | None = None) -> dict[str, object]:
     """Every key that rosbag2 reads at version 9, in the order in which it writes them.
 
     Parameters
@@ -40,10 +38,7 @@ def information(
     """
     topics = list(topics)
     count = sum(topic.count for topic in topics)
-    span = {
-        "starting_time": {"nanoseconds_since_epoch": 0},
-        "duration": {"nanoseconds": last_ns},
-    }
+    span = {"starting_time": {"nanoseconds_since_epoch": 0}, "duration": {"nanoseconds": last_ns}}
     file = {"path": file_name, **_copy(span), "message_count": count}
     return {
         "version": VERSION,
@@ -112,9 +107,7 @@ def read(directory: Path) -> StoredMetadata:
     if storage != "mcap":
         raise BagError(f"storage_identifier is {storage!r}", where=path, expected="'mcap'")
     if _item(content, "version", int, path) > VERSION:
-        raise BagError(
-            f"version is {content['version']}", where=path, expected=f"at most {VERSION}"
-        )
+        raise BagError(f"version is {content['version']}", where=path, expected=f"at most {VERSION}")
     if content.get("compression_mode"):
         raise BagError(
             f"compression_mode is {content['compression_mode']!r}",
@@ -123,9 +116,7 @@ def read(directory: Path) -> StoredMetadata:
         )
     files = _item(content, "relative_file_paths", list, path)
     if len(files) != 1 or not isinstance(files[0], str) or Path(files[0]).name != files[0]:
-        raise BagError(
-            f"relative_file_paths is {files!r}", where=path, expected="one file in this directory"
-        )
+        raise BagError(f"relative_file_paths is {files!r}", where=path, expected="one file in this directory")
     counts = {}
     for entry in _item(content, "topics_with_message_count", list, path):
         name = _item(_item(entry, "topic_metadata", dict, path), "name", str, path)

@@ -88,13 +88,9 @@ def mcap_file(path: Path, partial: bool = False) -> tuple[Path, dict[str, int] |
     if partial or not (path / metadata.NAME).exists():
         files = sorted(path.glob("*.mcap"))
         if not files:
-            raise BagError(
-                "is not a bag", where=path, expected=f"{metadata.NAME} and an MCAP file in it"
-            )
+            raise BagError("is not a bag", where=path, expected=f"{metadata.NAME} and an MCAP file in it")
         if not partial:
-            raise BagError(
-                f"{metadata.NAME} is missing; {_hint(path)}", where=path, expected="a closed bag"
-            )
+            raise BagError(f"{metadata.NAME} is missing; {_hint(path)}", where=path, expected="a closed bag")
         if len(files) > 1:
             raise BagError(f"holds {len(files)} MCAP files", where=path, expected="one")
         return files[0], None
@@ -113,9 +109,7 @@ def _open(path: Path, partial: bool) -> Scan:
     scan = Scan(file, counts)
     if not (scan.complete or partial):
         raise BagError(
-            f"the file ends at offset {scan.size} without an index; {_hint(path)}",
-            where=file,
-            expected="a closed bag",
+            f"the file ends at offset {scan.size} without an index; {_hint(path)}", where=file, expected="a closed bag"
         )
     return scan
 
@@ -144,9 +138,7 @@ class _Session:
         models = [name for name in scan.topics if name.endswith("/" + messages.MODEL.name)]
         if not models and scan.fault:
             raise BagError(
-                f"{scan.fault.what}, and there is no model before",
-                where=scan.fault.where,
-                expected=scan.fault.expected,
+                f"{scan.fault.what}, and there is no model before", where=scan.fault.where, expected=scan.fault.expected
             )
         if len(models) != 1:
             raise BagError(
@@ -200,9 +192,7 @@ class _Session:
         return f"{self.namespace}/{topic.name}"
 
     def _error(self, topic: Topic, what: str, expected: str) -> BagError:
-        return BagError(
-            what, where=f"{self.scan.path}, topic {self._name(topic)}", expected=expected
-        )
+        return BagError(what, where=f"{self.scan.path}, topic {self._name(topic)}", expected=expected)
 
     def _messages(self, topic: Topic) -> list[bytes]:
         name = self._name(topic)
@@ -236,8 +226,7 @@ class _Session:
                 f"{len(present)} command topics",
                 where=self.scan.path,
                 expected=" or ".join(
-                    self._name(messages.array_command_topic(interface))
-                    for interface in messages.COMMAND_INTERFACES
+                    self._name(messages.array_command_topic(interface)) for interface in messages.COMMAND_INTERFACES
                 ),
             )
         return present[0]
@@ -252,9 +241,7 @@ class _Session:
     def _steps(self, time_ns: np.ndarray) -> tuple[np.ndarray, int | None]:
         period_ns = int(time_ns[1]) if len(time_ns) > 1 else None
         if time_ns[0] != 0 or period_ns == 0:
-            raise self._error(
-                messages.STATES, f"states are at {time_ns[:2].tolist()} ns", "0 and one period"
-            )
+            raise self._error(messages.STATES, f"states are at {time_ns[:2].tolist()} ns", "0 and one period")
         steps = np.arange(len(time_ns))
         wrong = np.flatnonzero(time_ns != steps * (period_ns or 0))
         if wrong.size:
@@ -271,15 +258,11 @@ class _Session:
         try:
             stamps, arrays = form.decode(found)
         except MismatchError as error:
-            raise self._error(
-                topic, f"message {error.index} has {error.found}", error.expected
-            ) from error
+            raise self._error(topic, f"message {error.index} has {error.found}", error.expected) from error
         if stamps is not None and not np.array_equal(stamps, time_ns):
             index = int(np.flatnonzero(stamps != time_ns)[0])
             raise self._error(
-                topic,
-                f"message {index} is stamped {stamps[index]} ns",
-                f"its log time, {time_ns[index]} ns",
+                topic, f"message {index} is stamped {stamps[index]} ns", f"its log time, {time_ns[index]} ns"
             )
         return time_ns, arrays
 

@@ -64,9 +64,7 @@ class BagRecorder:
         self.path = Path(path)
         namespace = "/" + namespace.strip("/") if namespace.strip("/") else ""
         if not _NAMESPACE.fullmatch(namespace):
-            raise BagError(
-                f"{namespace!r} is no ROS namespace", where=path, expected="such as '/cell1'"
-            )
+            raise BagError(f"{namespace!r} is no ROS namespace", where=path, expected="such as '/cell1'")
         if command_interface not in messages.COMMAND_INTERFACES:
             raise BagError(
                 f"the command interface is {command_interface!r}",
@@ -116,22 +114,16 @@ class BagRecorder:
         try:
             self.path.mkdir()
         except FileExistsError as error:
-            raise BagError(
-                "exists already", where=self.path, expected="the path of a new bag"
-            ) from error
+            raise BagError("exists already", where=self.path, expected="the path of a new bag") from error
         except OSError as error:
             if self.path.parent.is_dir():
                 raise self._disk_error(error) from error
-            raise BagError(
-                "cannot be made", where=self.path, expected=f"{self.path.parent} as a directory"
-            ) from error
+            raise BagError("cannot be made", where=self.path, expected=f"{self.path.parent} as a directory") from error
 
     def _open(self, topics: list[Topic]) -> None:
         # Larger than a chunk with its index, so that each flush is one write to the file.
         self._file = open(self.path / f"{self.path.name}_0.mcap", "xb", buffering=4 * _CHUNK_BYTES)
-        self._writer = Writer(
-            self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.NONE
-        )
+        self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.NONE)
         self._writer.start(profile="ros2", library=f"puma-sim-core {__version__}")
         schemas: dict[str, int] = {}
         self._channels: dict[Topic, int] = {}
@@ -144,10 +136,7 @@ class BagRecorder:
                 self._prefix + topic.name,
                 "cdr",
                 schemas[topic.type],
-                {
-                    "offered_qos_profiles": messages.qos_text(topic),
-                    "topic_type_hash": messages.type_hash(topic.type),
-                },
+                {"offered_qos_profiles": messages.qos_text(topic), "topic_type_hash": messages.type_hash(topic.type)},
             )
 
     def write_state(self, state) -> None:
@@ -204,9 +193,7 @@ class BagRecorder:
             topic, form = messages.JOINT_COMMANDS, self._named_form(tuple(command.names))
             arrays = (command.values, (), ())
         else:
-            raise BagError(
-                "a command by joint names", where=self.path, expected="voltages of all joints"
-            )
+            raise BagError("a command by joint names", where=self.path, expected="voltages of all joints")
         try:
             data = form.encode(time_ns, *arrays)
         except struct.error as error:
@@ -264,10 +251,7 @@ class BagRecorder:
             if not self._reported:
                 raise BagError(f"a write was interrupted; {self._hint()}", where=self.path)
             return
-        counts = [
-            metadata.TopicCount(topic, self._prefix + topic.name, count)
-            for topic, count in self._counts.items()
-        ]
+        counts = [metadata.TopicCount(topic, self._prefix + topic.name, count) for topic, count in self._counts.items()]
         self._broken = True
         try:
             inner = metadata.dump(metadata.information(counts, self._time_ns)).strip()

@@ -71,9 +71,7 @@ class Scan:
                 magic = file.read(len(MAGIC))
                 self.complete = _ends_with_footer(file, self.size)
         except OSError as error:
-            raise BagError(
-                f"cannot be read ({error.strerror})", where=path, expected="an MCAP file"
-            ) from error
+            raise BagError(f"cannot be read ({error.strerror})", where=path, expected="an MCAP file") from error
         if magic != MAGIC:
             raise BagError("is not an MCAP file", where=path, expected=f"{MAGIC!r} at its start")
 
@@ -138,9 +136,7 @@ class Scan:
                     self._describe(opcode, file.read(length))
                 offset = file.seek(offset + _HEAD.size + length)
         except _Fault as fault:
-            raise BagError(
-                str(fault), where=f"{self.path}, offset {offset}", expected="a whole MCAP record"
-            ) from None
+            raise BagError(str(fault), where=f"{self.path}, offset {offset}", expected="a whole MCAP record") from None
 
     def _head(self, file: BinaryIO, offset: int) -> tuple[int, int]:
         head = file.read(_HEAD.size)
@@ -222,8 +218,5 @@ def _ends_with_footer(file: BinaryIO, size: int) -> bool:
     data = file.read(tail)
     opcode, length, summary_start, _, _ = _FOOTER.unpack_from(data)
     return (
-        data.endswith(MAGIC)
-        and opcode == Opcode.FOOTER
-        and length == _FOOTER.size - _HEAD.size
-        and summary_start > 0
+        data.endswith(MAGIC) and opcode == Opcode.FOOTER and length == _FOOTER.size - _HEAD.size and summary_start > 0
     )

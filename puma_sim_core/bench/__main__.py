@@ -7,7 +7,6 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
-import os
 import platform
 import subprocess
 import sys
@@ -33,14 +32,19 @@ def parser() -> argparse.ArgumentParser:
     p = argparse.ArgumentParser(
         prog="python -m puma_sim_core.bench",
         description="Speed of the simulator beside other libraries doing the same: 10 s of the "
-                    "three-joint arm with its motors, RK4 in steps of 1 ms. Measured in one run; "
-                    "ratios are taken within each round and their median and quartiles printed.")
-    p.add_argument("--peers", metavar="A,B", default=",".join(PEERS),
-                   help=f"which of {', '.join(PEERS)} (default: all; '' for none)")
-    p.add_argument("--quick", action="store_true",
-                   help=f"{QUICK_ROUNDS} rounds of {QUICK_SECONDS:g} s: a look, not a measurement")
-    p.add_argument("--rounds", type=int, default=None, metavar="N",
-                   help=f"rounds to measure (default {ROUNDS})")
+        "three-joint arm with its motors, RK4 in steps of 1 ms. Measured in one run; "
+        "ratios are taken within each round and their median and quartiles printed.",
+    )
+    p.add_argument(
+        "--peers",
+        metavar="A,B",
+        default=",".join(PEERS),
+        help=f"which of {', '.join(PEERS)} (default: all; '' for none)",
+    )
+    p.add_argument(
+        "--quick", action="store_true", help=f"{QUICK_ROUNDS} rounds of {QUICK_SECONDS:g} s: a look, not a measurement"
+    )
+    p.add_argument("--rounds", type=int, default=None, metavar="N", help=f"rounds to measure (default {ROUNDS})")
     p.add_argument("--json", type=Path, default=None, metavar="FILE", help="write the numbers too")
     return p
 
@@ -118,36 +122,46 @@ def targets(bench: Bench, times: np.ndarray, imports: dict[str, list[float]]) ->
     return [
         Target("one compiled call / C -O3", over(own.ONE_CALL, c_reference.LABEL), True, 1.3),
         Target("Simulator.run / C -O3", over(own.COMPILED, c_reference.LABEL), True, 1.3),
-        Target("MuJoCo rollout / one compiled call", over(mujoco_peer.ROLLOUT, own.ONE_CALL),
-               False, 40.0),
-        Target("plain Python / MuJoCo mj_step loop", over(own.PLAIN, mujoco_peer.STEP_LOOP), True,
-               1.5),
-        Target("effects off: compiled / compiled without them",
-               over(own.ONE_CALL, own.WITHOUT_STAGES), True, 1.05),
+        Target("MuJoCo rollout / one compiled call", over(mujoco_peer.ROLLOUT, own.ONE_CALL), False, 40.0),
+        Target("plain Python / MuJoCo mj_step loop", over(own.PLAIN, mujoco_peer.STEP_LOOP), True, 1.5),
+        Target("effects off: compiled / compiled without them", over(own.ONE_CALL, own.WITHOUT_STAGES), True, 1.05),
         Target("all friction effects on / off", over(own.ALL_FRICTION, own.COMPILED), True, 2.0),
         Target("all friction but the bristle / off", over(own.ALL_DRY, own.COMPILED), True, 2.0),
-        Target("batch on one core: throughput / Simulator.run", over(own.COMPILED, own.BATCH_ONE),
-               False, 2.5),
-        Target(f"batch on {cores} cores: throughput / one core",
-               over(own.FITTING_ONE, own.FITTING_ALL), False, round(0.85 * cores, 2)),
-        Target(f"gain of {cores} cores: batch / C",
-               over(own.FITTING_ONE, own.FITTING_ALL, c_reference.LABEL,
-                    c_reference.LABEL_ALL_CORES),
-               False, 0.85),
-        *(Target(f"import {module} without numba", table.Spread.of(seconds), True, 0.3, " s")
-          for module, seconds in imports.items()),
+        Target("batch on one core: throughput / Simulator.run", over(own.COMPILED, own.BATCH_ONE), False, 2.5),
+        Target(
+            f"batch on {cores} cores: throughput / one core",
+            over(own.FITTING_ONE, own.FITTING_ALL),
+            False,
+            round(0.85 * cores, 2),
+        ),
+        Target(
+            f"gain of {cores} cores: batch / C",
+            over(own.FITTING_ONE, own.FITTING_ALL, c_reference.LABEL, c_reference.LABEL_ALL_CORES),
+            False,
+            0.85,
+        ),
+        *(
+            Target(f"import {module} without numba", table.Spread.of(seconds), True, 0.3, " s")
+            for module, seconds in imports.items()
+        ),
     ]
 
 
 def conditions(task: Task, rounds: int, versions: dict[str, str]) -> dict:
     """What the numbers depend on."""
     packages = {name: metadata.version(name) for name in ("numpy", "numba") if installed(name)}
-    return {"task": f"{task.seconds:g} s of the arm '{task.plant.arm.name}', no friction, smooth "
-                    "voltages, each held for 1 ms, RK4 in steps of 1 ms",
-            "rounds": rounds, "kernel": BACKEND, "cores": own.core_count(),
-            "cpu": _cpu(), "system": f"{platform.system()} {platform.machine()}",
-            "python": platform.python_version(), "c_compiler": _compiler_version(),
-            "versions": {"puma_sim": __version__, **packages, **versions}}
+    return {
+        "task": f"{task.seconds:g} s of the arm '{task.plant.arm.name}', no friction, smooth "
+        "voltages, each held for 1 ms, RK4 in steps of 1 ms",
+        "rounds": rounds,
+        "kernel": BACKEND,
+        "cores": own.core_count(),
+        "cpu": _cpu(),
+        "system": f"{platform.system()} {platform.machine()}",
+        "python": platform.python_version(),
+        "c_compiler": _compiler_version(),
+        "versions": {"puma_sim": __version__, **packages, **versions},
+    }
 
 
 def _cpu() -> str:
@@ -168,18 +182,20 @@ def _compiler_version() -> str:
     return (done.stdout.splitlines() or [cc])[0]
 
 
-def report(bench: Bench, found: Sequence[table.Result], aims: Sequence[table.Target],
-           about: dict) -> str:
+def report(bench: Bench, found: Sequence[table.Result], aims: Sequence[table.Target], about: dict) -> str:
     """The whole output."""
     versions = ", ".join(f"{name} {version}" for name, version in about["versions"].items())
-    lines = [f"{about['task']}",
-             f"{about['rounds']} rounds, all rows in turn in each; {about['cores']} cores, "
-             f"{about['cpu']}, {about['system']}",
-             f"Python {about['python']}, {versions}; C: {about['c_compiler']}", "",
-             table.table_text(found, SECONDS), "",
-             "ratio: time / time of the first row, round by round; arm: distance of the final "
-             "positions from ours",
-             table.same_arm_text(found)]
+    lines = [
+        f"{about['task']}",
+        f"{about['rounds']} rounds, all rows in turn in each; {about['cores']} cores, "
+        f"{about['cpu']}, {about['system']}",
+        f"Python {about['python']}, {versions}; C: {about['c_compiler']}",
+        "",
+        table.table_text(found, SECONDS),
+        "",
+        "ratio: time / time of the first row, round by round; arm: distance of the final positions from ours",
+        table.same_arm_text(found),
+    ]
     lines += [f"{name}: {reason}" for name, reason in bench.missing.items()]
     return "\n".join([*lines, "", table.targets_text(aims)])
 
@@ -209,8 +225,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             bench.add(name, peer.rows, peer.PACKAGES)
         times = measured(bench.rows, rounds, progress)
     progress("import in fresh processes")
-    imports = {module: own.import_seconds(module)
-               for module in ("puma_sim_core", "puma_sim_core.simulator")}
+    imports = {module: own.import_seconds(module) for module in ("puma_sim_core", "puma_sim_core.simulator")}
     progress("")
 
     found = table.results(bench.rows, times, bench.differences(), SECONDS)
@@ -218,8 +233,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     about = conditions(task, rounds, bench.versions)
     print(report(bench, found, aims, about))
     if options.json is not None:
-        options.json.write_text(json.dumps(table.as_json(found, aims, bench.missing, about),
-                                           indent=1) + "\n", encoding="utf-8")
+        options.json.write_text(
+            json.dumps(table.as_json(found, aims, bench.missing, about), indent=1) + "\n", encoding="utf-8"
+        )
     return 0
 
 

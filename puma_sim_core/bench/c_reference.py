@@ -146,8 +146,11 @@ def build(source: str, flags: tuple[str, ...], folder: Path) -> Path:
         raise Unavailable("no C compiler")
     text, library = folder / "source.c", folder / "library.so"
     text.write_text(source, encoding="utf-8")
-    done = subprocess.run([*shlex.split(cc), *flags, "-fPIC", "-shared", str(text), "-o",
-                           str(library), "-lm"], capture_output=True, text=True)
+    done = subprocess.run(
+        [*shlex.split(cc), *flags, "-fPIC", "-shared", str(text), "-o", str(library), "-lm"],
+        capture_output=True,
+        text=True,
+    )
     if done.returncode != 0:
         reason = (done.stderr.strip().splitlines() or ["it gave no reason"])[0]
         raise Unavailable(f"{cc} {' '.join(flags)} failed: {reason}")
@@ -160,8 +163,7 @@ class CReference:
     def __init__(self, flags: tuple[str, ...] = ("-O3",)):
         with tempfile.TemporaryDirectory(prefix="puma-sim-bench-") as folder:
             self._run = ctypes.CDLL(str(build(SOURCE, flags, Path(folder)))).run
-        self._run.argtypes = [_DOUBLES, _DOUBLES, ctypes.c_long, ctypes.c_double, _DOUBLES,
-                              _DOUBLES, _DOUBLES]
+        self._run.argtypes = [_DOUBLES, _DOUBLES, ctypes.c_long, ctypes.c_double, _DOUBLES, _DOUBLES, _DOUBLES]
         self._run.restype = None
 
     def prepared(self, task: Task) -> Callable[[], np.ndarray]:
@@ -171,9 +173,15 @@ class CReference:
         """
         body, drive, _, _ = task.plant.constants
         out = np.empty((task.steps + 1, 9))
-        arguments = (np.ascontiguousarray(task.state, float),
-                     np.ascontiguousarray(task.voltages, float), task.steps, STEP,
-                     np.array(body), np.array(drive), out)
+        arguments = (
+            np.ascontiguousarray(task.state, float),
+            np.ascontiguousarray(task.voltages, float),
+            task.steps,
+            STEP,
+            np.array(body),
+            np.array(drive),
+            out,
+        )
 
         def run():
             self._run(*arguments)
@@ -195,8 +203,14 @@ def on_all_cores(task: Task, cores: int) -> Row:
         with ThreadPoolExecutor(cores) as executor:
             return list(executor.map(repeat, runs))[0]
 
-    return Row(LABEL_ALL_CORES, together, cores * _REPETITIONS * task.seconds, task.seconds,
-               calls=5, note="time a run, with a run on each core all the while")
+    return Row(
+        LABEL_ALL_CORES,
+        together,
+        cores * _REPETITIONS * task.seconds,
+        task.seconds,
+        calls=5,
+        note="time a run, with a run on each core all the while",
+    )
 
 
 def rows(task: Task, cores: int = 1) -> list[Row]:
@@ -212,9 +226,14 @@ def rows(task: Task, cores: int = 1) -> list[Row]:
             if not made:
                 raise
             continue  # some compilers refuse -march=native
-        made.append(Row(LABEL.replace("-O3", " ".join(flags)),
-                        lambda run=reference.prepared(task): run()[-1, :3].copy(),
-                        task.seconds, calls=9))
+        made.append(
+            Row(
+                LABEL.replace("-O3", " ".join(flags)),
+                lambda run=reference.prepared(task): run()[-1, :3].copy(),
+                task.seconds,
+                calls=9,
+            )
+        )
     if cores > 1:
         made.append(on_all_cores(task, cores))
     return made

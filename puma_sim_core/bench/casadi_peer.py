@@ -28,10 +28,10 @@ def step_function(task: Task):
         m13 = k.B1 * su + k.B2 * cu
         m12 = k.B3 * s2 + k.B4 * c2 + m13
         h = k.E1 * c3 + k.E2 * s3
-        m11 = (k.A0 + k.A1 * c2 * c2 + k.A2 * s2 * c2 + k.A3 * cu * cu + k.A4 * su * cu
-               + k.A5 * c2 * cu + k.A6 * c2 * su)
-        return ca.vertcat(ca.horzcat(m11, m12, m13), ca.horzcat(m12, k.E3 + 2 * h, k.E0 + h),
-                          ca.horzcat(m13, k.E0 + h, k.E4))
+        m11 = k.A0 + k.A1 * c2 * c2 + k.A2 * s2 * c2 + k.A3 * cu * cu + k.A4 * su * cu + k.A5 * c2 * cu + k.A6 * c2 * su
+        return ca.vertcat(
+            ca.horzcat(m11, m12, m13), ca.horzcat(m12, k.E3 + 2 * h, k.E0 + h), ca.horzcat(m13, k.E0 + h, k.E4)
+        )
 
     def gravity(q):
         c2, s2 = ca.cos(q[1]), ca.sin(q[1])
@@ -44,10 +44,10 @@ def step_function(task: Task):
     # Lagrange: d/dt (M w) - (1/2) d(w' M w)/dq, the first at constant w
     coriolis = ca.jtimes(momentum, q, w) - 0.5 * ca.gradient(ca.dot(w, momentum), q)
     factor, transposed, order = ca.ldl(M, False)
-    qdd = ca.ldl_solve(torque * i - viscous * w - coriolis - gravity(q), factor, transposed,
-                       order)
-    slope = ca.Function("slope", [ca.vertcat(q, w, i), volts],
-                        [ca.vertcat(w, qdd, rate * (volts - resistance * i - emf * w))])
+    qdd = ca.ldl_solve(torque * i - viscous * w - coriolis - gravity(q), factor, transposed, order)
+    slope = ca.Function(
+        "slope", [ca.vertcat(q, w, i), volts], [ca.vertcat(w, qdd, rate * (volts - resistance * i - emf * w))]
+    )
 
     x = ca.MX.sym("x", 9)
     v = ca.MX.sym("v", 3)
@@ -56,8 +56,7 @@ def step_function(task: Task):
     k3 = slope(x + 0.5 * STEP * k2, v)
     k4 = slope(x + STEP * k3, v)
     # expanded into scalar operations: the fastest form of those that were tried
-    return ca.Function("step", [x, v], [x + STEP / 6 * (k1 + 2 * (k2 + k3) + k4)],
-                       ["x", "v"], ["x_next"]).expand()
+    return ca.Function("step", [x, v], [x + STEP / 6 * (k1 + 2 * (k2 + k3) + k4)], ["x", "v"], ["x_next"]).expand()
 
 
 def rows(task: Task) -> list[Row]:

@@ -40,5 +40,4 @@ def in_joint_frame(link: Link, frame: tuple[float, float, float]):
     """
     a, d, alpha = frame
     turn = turn_about_x(alpha)
-    return (np.array([a, 0.0, d]) + turn @ np.asarray(link.centre),
-            turn @ central_inertia(link) @ turn.T)
+    return (np.array([a, 0.0, d]) + turn @ np.asarray(link.centre), turn @ central_inertia(link) @ turn.T)

@@ -29,8 +29,7 @@ def order_of_calls(rows: Sequence[Row], round_number: int) -> list[int]:
     round.
     """
     n = len(rows)
-    calls = [((k + 0.5) / row.calls, (i + round_number) % n, i)
-             for i, row in enumerate(rows) for k in range(row.calls)]
+    calls = [((k + 0.5) / row.calls, (i + round_number) % n, i) for i, row in enumerate(rows) for k in range(row.calls)]
     return [i for _, _, i in sorted(calls)]
 
 
@@ -43,8 +42,7 @@ def first_calls(rows: Sequence[Row], progress: Callable[[str], None] = quiet) ->
     return positions
 
 
-def measured(rows: Sequence[Row], rounds: int,
-             progress: Callable[[str], None] = quiet) -> np.ndarray:
+def measured(rows: Sequence[Row], rounds: int, progress: Callable[[str], None] = quiet) -> np.ndarray:
     """Times [s] (rounds, rows), each the median of the row's calls in that round."""
     times = np.empty((rounds, len(rows)))
     collecting = gc.isenabled()

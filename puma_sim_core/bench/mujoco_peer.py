@@ -39,15 +39,18 @@ def model_of(task: Task):
     bodies = "".join(
         f'<body name="link{k}" {_placed(before)}><joint name="joint{k}" axis="0 0 1" '
         f'armature="{motor.inertia!r}"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
-        for k, (before, motor) in enumerate(zip([(0.0, 0.0, 0.0), *frames], arm.motors), start=1))
+        for k, (before, motor) in enumerate(zip([(0.0, 0.0, 0.0), *frames], arm.motors), start=1)
+    )
     motors = "".join(
         f'<dcmotor joint="joint{k}" gear="{m.gear_ratio!r}" resistance="{m.resistance!r}" '
         f'motorconst="{m.torque_constant!r} {m.back_emf!r}" inductance="{m.inductance!r} 0"/>'
-        for k, m in enumerate(arm.motors, start=1))
+        for k, m in enumerate(arm.motors, start=1)
+    )
     model = mujoco.MjModel.from_xml_string(
         f'<mujoco><compiler angle="radian"/>'
         f'<option timestep="{STEP}" gravity="0 0 {-arm.gravity!r}" integrator="RK4"/>'
-        f'<worldbody>{bodies}{"</body>" * 3}</worldbody><actuator>{motors}</actuator></mujoco>')
+        f"<worldbody>{bodies}{'</body>' * 3}</worldbody><actuator>{motors}</actuator></mujoco>"
+    )
     for k, (link, frame) in enumerate(zip(arm.links, frames), start=1):
         centre, inertia = denavit_hartenberg.in_joint_frame(link, frame)
         principal, axes = np.linalg.eigh(inertia)
@@ -75,8 +78,7 @@ def rows(task: Task) -> list[Row]:
     scale = np.sqrt([m.torque_constant / m.back_emf for m in task.plant.arm.motors])
     control = np.ascontiguousarray(task.voltages * scale)
     model, lean = model_of(task), model_of(task)
-    lean.opt.disableflags |= (mujoco.mjtDisableBit.mjDSBL_CONTACT
-                              | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+    lean.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[:] = task.state[:3], task.state[3:6]
     data.act[:] = task.state[6:] * scale
@@ -98,8 +100,9 @@ def rows(task: Task) -> list[Row]:
         pool.rollout(which, data, start[None], control[None], state=states)
         return states[0, -1, 1:4].copy()
 
-    made = {STEP_LOOP: step_loop,
-            ROLLOUT: lambda: roll(model),
-            f"{ROLLOUT}, contacts and constraints off": lambda: roll(lean)}
-    return [Row(label, run, task.seconds, calls=2, tolerance=_TOLERANCE, note=_NOTE)
-            for label, run in made.items()]
+    made = {
+        STEP_LOOP: step_loop,
+        ROLLOUT: lambda: roll(model),
+        f"{ROLLOUT}, contacts and constraints off": lambda: roll(lean),
+    }
+    return [Row(label, run, task.seconds, calls=2, tolerance=_TOLERANCE, note=_NOTE) for label, run in made.items()]

@@ -48,8 +48,7 @@ _HELD = 28
 _FRICTION = {
     "viscous_friction": ("coefficient={}", (5.80,), (9.50,), (3.98,)),
     "coulomb_friction": ("torque={}", (5.0,), (4.0,), (2.0,)),
-    "asymmetric_coulomb_friction": ("positive={},negative={}",
-                                    (24.7, 27.2), (13.6, 7.65), (7.1, 5.6)),
+    "asymmetric_coulomb_friction": ("positive={},negative={}", (24.7, 27.2), (13.6, 7.65), (7.1, 5.6)),
     "stribeck_friction": ("torque={}", (5.0,), (4.0,), (2.0,)),
     "presliding_friction": ("torque={}", (5.0,), (4.0,), (2.0,)),
 }
@@ -57,10 +56,12 @@ _FRICTION = {
 
 def friction(*kinds: str):
     """Effects of these kinds on all three joints."""
-    return tuple(parse_effect(f"{kind}:joint={joint},{form.format(*values)}")
-                 for kind in kinds
-                 for form, *levels in [_FRICTION[kind]]
-                 for joint, values in enumerate(levels, start=1))
+    return tuple(
+        parse_effect(f"{kind}:joint={joint},{form.format(*values)}")
+        for kind in kinds
+        for form, *levels in [_FRICTION[kind]]
+        for joint, values in enumerate(levels, start=1)
+    )
 
 
 def simulation(task: Task, effects=()):
@@ -86,8 +87,7 @@ def one_call(task: Task):
     times = STEP * np.arange(task.steps)
 
     def run():
-        run_voltages(state, NO_LINKS, STILL, task.voltages, times, counts, steps, body, drive,
-                     active, p, FREE, out)
+        run_voltages(state, NO_LINKS, STILL, task.voltages, times, counts, steps, body, drive, active, p, FREE, out)
         return out[-1, :3].copy()
 
     return run
@@ -99,16 +99,25 @@ def batch(task: Task, workers: int, runs: int | None = None, held: int = 1):
     held : rows of the task for which each voltage is held, and after which a state is given.
     """
     arm = task.plant.arm
-    plants = [Plant(replace(arm, links=tuple(replace(link, mass=link.mass * (1.0 + 0.001 * k))
-                                             for link in arm.links)))
-              for k in range(runs or BATCH_RUNS)]
+    plants = [
+        Plant(replace(arm, links=tuple(replace(link, mass=link.mass * (1.0 + 0.001 * k)) for link in arm.links)))
+        for k in range(runs or BATCH_RUNS)
+    ]
     time = (STEP * np.arange(task.steps + 1))[::held]
     voltages = np.vstack([task.voltages, task.voltages[-1:]])[::held]
     position, velocity, current = task.state.reshape(3, 3)
 
     def run():
-        return run_batch(plants, time, voltages, position=position, velocity=velocity,
-                         current=current, max_step=STEP, workers=workers).position[0, -1]
+        return run_batch(
+            plants,
+            time,
+            voltages,
+            position=position,
+            velocity=velocity,
+            current=current,
+            max_step=STEP,
+            workers=workers,
+        ).position[0, -1]
 
     return run
 
@@ -128,8 +137,11 @@ def without_stages(task: Task):
     def run_bare(x, z, m, volts, counts, steps, body, drive, p, out):
         store(out, 0, x, z)
         for r in range(len(volts)):
-            v = (terminal_voltage(0, volts[r][0], p), terminal_voltage(1, volts[r][1], p),
-                 terminal_voltage(2, volts[r][2], p))
+            v = (
+                terminal_voltage(0, volts[r][0], p),
+                terminal_voltage(1, volts[r][1], p),
+                terminal_voltage(2, volts[r][2], p),
+            )
             x, z, m = advance(x, z, m, v, 0.0, steps[r], counts[r], body, drive, 0, p, FREE)
             if not is_finite(x):
                 return r + 1
@@ -154,7 +166,11 @@ class PlainPython:
     def __init__(self, task: Task):
         self._process = subprocess.Popen(
             [sys.executable, "-m", f"{__package__}.child", repr(task.seconds)],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=child_environment())
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env=child_environment(),
+        )
 
     def measure(self) -> tuple[float, np.ndarray]:
         """(seconds, final positions) of one run; this process waits meanwhile."""
@@ -162,8 +178,7 @@ class PlainPython:
         self._process.stdin.flush()
         answer = self._process.stdout.readline()
         if not answer:
-            raise RuntimeError(f"the process with the interpreted kernel ended with status "
-                               f"{self._process.wait()}")
+            raise RuntimeError(f"the process with the interpreted kernel ended with status {self._process.wait()}")
         elapsed, position = json.loads(answer)
         return elapsed, np.array(position)
 
@@ -199,13 +214,38 @@ def rows(task: Task, child: PlainPython | None) -> list[Row]:
     if BACKEND != "numba":
         return [Row(PLAIN, simulation(task), task.seconds, calls=2, ours=True)]
     made = [Row(COMPILED, simulation(task), task.seconds, calls=9, ours=True)]
-    made.append(Row(ONE_CALL, one_call(task), task.seconds, calls=9, ours=True,
-                    note="without the making of its arrays and of the recording"))
-    made.append(Row(WITHOUT_STAGES, without_stages(task), task.seconds, calls=9, ours=True,
-                    note="the kernel with the stages of the effects taken out by the compiler"))
+    made.append(
+        Row(
+            ONE_CALL,
+            one_call(task),
+            task.seconds,
+            calls=9,
+            ours=True,
+            note="without the making of its arrays and of the recording",
+        )
+    )
+    made.append(
+        Row(
+            WITHOUT_STAGES,
+            without_stages(task),
+            task.seconds,
+            calls=9,
+            ours=True,
+            note="the kernel with the stages of the effects taken out by the compiler",
+        )
+    )
     if child is not None:
-        made.append(Row(PLAIN, lambda: child.measure()[1], task.seconds, calls=2, ours=True,
-                        measure=child.measure, note="in a process of its own, in turn with ours"))
+        made.append(
+            Row(
+                PLAIN,
+                lambda: child.measure()[1],
+                task.seconds,
+                calls=2,
+                ours=True,
+                measure=child.measure,
+                note="in a process of its own, in turn with ours",
+            )
+        )
     sets = {f"puma_sim, {kind}": (kind,) for kind in _FRICTION}
     sets[ALL_DRY] = tuple(kind for kind in _FRICTION if kind != "presliding_friction")
     sets[ALL_FRICTION] = tuple(_FRICTION)
@@ -213,22 +253,45 @@ def rows(task: Task, child: PlainPython | None) -> list[Row]:
         run = simulation(task, friction(*kinds))
         made.append(Row(label, run, task.seconds, calls=5, ours=True, compared=False))
     for label, workers in ((BATCH_ONE, 1), (BATCH_ALL, core_count())):
-        made.append(Row(label, batch(task, workers), BATCH_RUNS * task.seconds, task.seconds,
-                        calls=5, ours=True,
-                        note=f"time a run, of {BATCH_RUNS} runs of arms that differ"))
+        made.append(
+            Row(
+                label,
+                batch(task, workers),
+                BATCH_RUNS * task.seconds,
+                task.seconds,
+                calls=5,
+                ours=True,
+                note=f"time a run, of {BATCH_RUNS} runs of arms that differ",
+            )
+        )
     for label, workers in ((FITTING_ONE, 1), (FITTING_ALL, core_count())):
-        made.append(Row(label, batch(task, workers, FITTING_RUNS, _HELD),
-                        FITTING_RUNS * task.seconds, task.seconds, calls=2, ours=True,
-                        compared=False,
-                        note=f"time a run, of {FITTING_RUNS} runs; voltages held for {_HELD} ms"))
+        made.append(
+            Row(
+                label,
+                batch(task, workers, FITTING_RUNS, _HELD),
+                FITTING_RUNS * task.seconds,
+                task.seconds,
+                calls=2,
+                ours=True,
+                compared=False,
+                note=f"time a run, of {FITTING_RUNS} runs; voltages held for {_HELD} ms",
+            )
+        )
     return made
 
 
 def import_seconds(module: str, repetitions: int = 5) -> list[float]:
     """Times [s] of the import of `module` in fresh processes that have no numba."""
-    code = ("import sys; sys.modules['numba'] = None\n"
-            "from time import perf_counter\n"
-            f"start = perf_counter(); import {module}; print(perf_counter() - start)")
-    return [float(subprocess.run([sys.executable, "-c", code], env=child_environment(), text=True,
-                                 capture_output=True, check=True).stdout)
-            for _ in range(repetitions + 1)][1:]
+    code = (
+        "import sys; sys.modules['numba'] = None\n"
+        "from time import perf_counter\n"
+        f"start = perf_counter(); import {module}; print(perf_counter() - start)"
+    )
+    return [
+        float(
+            subprocess.run(
+                [sys.executable, "-c", code], env=child_environment(), text=True, capture_output=True, check=True
+            ).stdout
+        )
+        for _ in range(repetitions + 1)
+    ][1:]

@@ -21,8 +21,7 @@ def model_of(task: Task):
     for k, (link, frame) in enumerate(zip(arm.links, denavit_hartenberg.links(arm)), start=1):
         parent = model.addJoint(parent, pin.JointModelRZ(), place, f"joint{k}")
         centre, inertia = denavit_hartenberg.in_joint_frame(link, frame)
-        model.appendBodyToJoint(parent, pin.Inertia(link.mass, centre, inertia),
-                                pin.SE3.Identity())
+        model.appendBodyToJoint(parent, pin.Inertia(link.mass, centre, inertia), pin.SE3.Identity())
         a, d, alpha = frame
         place = pin.SE3(denavit_hartenberg.turn_about_x(alpha), np.array([a, 0.0, d]))
     model.armature = np.array([motor.inertia for motor in arm.motors])
@@ -40,5 +39,4 @@ def rows(task: Task) -> list[Row]:
     def acceleration(q, qd, torque):
         return pin.aba(model, data, q, qd, torque)
 
-    return [Row("Pinocchio, aba + RK4 from Python", lambda: rk4_loop.simulate(task, acceleration),
-                task.seconds)]
+    return [Row("Pinocchio, aba + RK4 from Python", lambda: rk4_loop.simulate(task, acceleration), task.seconds)]

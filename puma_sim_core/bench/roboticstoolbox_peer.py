@@ -24,9 +24,20 @@ def robot_of(task: Task):
     arm = task.plant.arm
     made = []
     for link, motor, (a, d, alpha) in zip(arm.links, arm.motors, denavit_hartenberg.links(arm)):
-        made.append(rtb.RevoluteDH(a=a, d=d, alpha=alpha, m=link.mass, r=list(link.centre),
-                                   I=denavit_hartenberg.central_inertia(link),
-                                   Jm=motor.inertia, G=1.0, B=0.0, Tc=[0.0, 0.0]))
+        made.append(
+            rtb.RevoluteDH(
+                a=a,
+                d=d,
+                alpha=alpha,
+                m=link.mass,
+                r=list(link.centre),
+                I=denavit_hartenberg.central_inertia(link),
+                Jm=motor.inertia,
+                G=1.0,
+                B=0.0,
+                Tc=[0.0, 0.0],
+            )
+        )
     robot = rtb.DHRobot(made)
     # releases differ in the sign of this vector
     robot.gravity = robot.gravity * (arm.gravity / np.linalg.norm(robot.gravity))
@@ -48,12 +59,17 @@ def rows(task: Task) -> list[Row]:
     seconds = min(_FDYN_SECONDS, task.seconds)
 
     def fdyn():
-        done = robot.fdyn(seconds, task.state[:3], motor_torque, qd0=task.state[3:6],
-                          solver_args={"max_step": STEP})
+        done = robot.fdyn(seconds, task.state[:3], motor_torque, qd0=task.state[3:6], solver_args={"max_step": STEP})
         return done.q[-1]
 
-    return [Row("Robotics Toolbox, accel + RK4 from Python",
-                lambda: rk4_loop.simulate(task, robot.accel), task.seconds),
-            Row("Robotics Toolbox, fdyn", fdyn, seconds, tolerance=_FDYN_TOLERANCE,
-                note=f"its RK45, steps of at most 1 ms; {seconds:g} s measured and scaled up; its "
-                     "state has no current, so motors without inductance")]
+    return [
+        Row("Robotics Toolbox, accel + RK4 from Python", lambda: rk4_loop.simulate(task, robot.accel), task.seconds),
+        Row(
+            "Robotics Toolbox, fdyn",
+            fdyn,
+            seconds,
+            tolerance=_FDYN_TOLERANCE,
+            note=f"its RK45, steps of at most 1 ms; {seconds:g} s measured and scaled up; its "
+            "state has no current, so motors without inductance",
+        ),
+    ]

@@ -68,17 +68,26 @@ class Target:
         return self.value.median <= self.bound if self.at_most else self.value.median >= self.bound
 
 
-def results(rows: Sequence[Row], times: np.ndarray, differences: Sequence[float | None],
-            standard: float, reference: int = 0) -> list[Result]:
+def results(
+    rows: Sequence[Row], times: np.ndarray, differences: Sequence[float | None], standard: float, reference: int = 0
+) -> list[Result]:
     """Results of rows from their times (rounds, rows) [s] a call.
 
     standard : simulated seconds [s] that all times are scaled to; reference : the row of ratio 1.
     """
     scaled = times * (standard / np.array([row.seconds for row in rows]))
-    return [Result(row.label, row.ours, Spread.of(scaled[:, k]),
-                   Spread.of(scaled[:, k] / scaled[:, reference]), differences[k],
-                   row.tolerance, row.note)
-            for k, row in enumerate(rows)]
+    return [
+        Result(
+            row.label,
+            row.ours,
+            Spread.of(scaled[:, k]),
+            Spread.of(scaled[:, k] / scaled[:, reference]),
+            differences[k],
+            row.tolerance,
+            row.note,
+        )
+        for k, row in enumerate(rows)
+    ]
 
 
 def number(value: float, digits: int = 3) -> str:
@@ -92,9 +101,12 @@ def number(value: float, digits: int = 3) -> str:
 def columns(table: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> list[str]:
     """Lines of a table whose first row is its head; columns in `left` are flush left."""
     widths = [max(len(row[k]) for row in table) for k in range(len(table[0]))]
-    lines = ["  ".join(cell.ljust(width) if k in left else cell.rjust(width)
-                       for k, (cell, width) in enumerate(zip(row, widths))).rstrip()
-             for row in table]
+    lines = [
+        "  ".join(
+            cell.ljust(width) if k in left else cell.rjust(width) for k, (cell, width) in enumerate(zip(row, widths))
+        ).rstrip()
+        for row in table
+    ]
     lines.insert(1, "-" * max(map(len, lines)))
     return lines
 
@@ -102,8 +114,7 @@ def columns(table: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> list[
 def table_text(found: Sequence[Result], standard: float) -> str:
     """The table of all rows, with numbered notes below it."""
     notes: list[str] = []
-    table = [("", f"{standard:g} s take [ms]", "quartiles", "ratio", "quartiles", "arm [rad]",
-              "note")]
+    table = [("", f"{standard:g} s take [ms]", "quartiles", "ratio", "quartiles", "arm [rad]", "note")]
     for result in found:
         marks = []
         for note in filter(None, (result.note, "" if result.same_arm else _other_arm(result))):
@@ -112,10 +123,17 @@ def table_text(found: Sequence[Result], standard: float) -> str:
             marks.append(str(notes.index(note) + 1))
         ms = 1e3 * np.array([result.time.median, result.time.low, result.time.high])
         ratio = result.ratio
-        table.append((
-            result.label, number(ms[0]), f"{number(ms[1])}..{number(ms[2])}",
-            number(ratio.median), f"{number(ratio.low)}..{number(ratio.high)}",
-            "" if result.difference is None else f"{result.difference:.0e}", " ".join(marks)))
+        table.append(
+            (
+                result.label,
+                number(ms[0]),
+                f"{number(ms[1])}..{number(ms[2])}",
+                number(ratio.median),
+                f"{number(ratio.low)}..{number(ratio.high)}",
+                "" if result.difference is None else f"{result.difference:.0e}",
+                " ".join(marks),
+            )
+        )
     lines = columns(table, left=(0, 6))
     lines += [f"  {k}  {note}" for k, note in enumerate(notes, start=1)]
     return "\n".join(lines)
@@ -132,8 +150,10 @@ def same_arm_text(found: Sequence[Result]) -> str:
         return "same arm: nothing to compare"
     worst = max(compared, key=lambda result: result.difference)
     others = [result for result in compared if not result.same_arm]
-    text = (f"same arm: worst difference {worst.difference:.1e} rad at the end ({worst.label}), "
-            f"within its tolerance of {worst.tolerance:.0e} rad")
+    text = (
+        f"same arm: worst difference {worst.difference:.1e} rad at the end ({worst.label}), "
+        f"within its tolerance of {worst.tolerance:.0e} rad"
+    )
     if others:
         text = f"NOT THE SAME ARM: {', '.join(result.label for result in others)}"
     return text
@@ -148,16 +168,23 @@ def targets_text(targets: Sequence[Target]) -> str:
             table.append((target.what, aim, "-", "", "not measured"))
             continue
         value = target.value
-        table.append((target.what, aim, number(value.median) + target.unit,
-                      f"{number(value.low)}..{number(value.high)}",
-                      "reached" if target.reached else "not reached"))
+        table.append(
+            (
+                target.what,
+                aim,
+                number(value.median) + target.unit,
+                f"{number(value.low)}..{number(value.high)}",
+                "reached" if target.reached else "not reached",
+            )
+        )
     return "\n".join(columns(table, left=(0, 4)))
 
 
-def as_json(found: Sequence[Result], targets: Sequence[Target], missing: dict[str, str],
-            conditions: dict) -> dict:
+def as_json(found: Sequence[Result], targets: Sequence[Target], missing: dict[str, str], conditions: dict) -> dict:
     """All of it as plain values; times in seconds."""
-    return {"conditions": conditions,
-            "rows": [{**asdict(result), "same_arm": result.same_arm} for result in found],
-            "targets": [{**asdict(target), "reached": target.reached} for target in targets],
-            "not_measured": missing}
+    return {
+        "conditions": conditions,
+        "rows": [{**asdict(result), "same_arm": result.same_arm} for result in found],
+        "targets": [{**asdict(target), "reached": target.reached} for target in targets],
+        "not_measured": missing,
+    }

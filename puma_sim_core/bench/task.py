@@ -35,8 +35,9 @@ class Task:
     def default(cls, seconds: float = 10.0) -> Task:
         """The published arm without friction, moved over several radians by smooth voltages."""
         t = STEP * np.arange(round(seconds / STEP))
-        voltages = np.stack((9.0 * np.sin(1.3 * t), 3.0 + 8.0 * np.sin(0.9 * t + 2.0),
-                             7.0 * np.sin(1.7 * t + 1.0)), axis=1)
+        voltages = np.stack(
+            (9.0 * np.sin(1.3 * t), 3.0 + 8.0 * np.sin(0.9 * t + 2.0), 7.0 * np.sin(1.7 * t + 1.0)), axis=1
+        )
         state = np.array([0.1, -0.4, 0.7, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
         return cls(Plant.of("bejczy"), state, voltages)
 
@@ -52,7 +53,7 @@ class Task:
 
     def shortened(self, seconds: float) -> Task:
         """The beginning of the same motion."""
-        return Task(self.plant, self.state, self.voltages[:round(seconds / STEP)])
+        return Task(self.plant, self.state, self.voltages[: round(seconds / STEP)])
 
 
 @dataclass

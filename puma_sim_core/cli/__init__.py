@@ -16,11 +16,9 @@ from collections.abc import Callable, Sequence
 
 from .. import __version__
 from ..errors import PumaSimError
-from . import (bench, excite, explain, identify_controller, listing, model, recover, replay,
-               simulate, thesis, tune)
+from . import bench, excite, explain, identify_controller, listing, model, recover, replay, simulate, thesis, tune
 
-_COMMANDS = (simulate, explain, excite, replay, recover, listing, model, thesis, tune,
-             identify_controller, bench)
+_COMMANDS = (simulate, explain, excite, replay, recover, listing, model, thesis, tune, identify_controller, bench)
 #: a value such as -0.1,0,0, which argparse would take for an option
 _NEGATIVE = re.compile(r"-\.?[0-9]")
 
@@ -28,14 +26,20 @@ _NEGATIVE = re.compile(r"-\.?[0-9]")
 def parser() -> argparse.ArgumentParser:
     """The command line of all subcommands."""
     top = argparse.ArgumentParser(
-        prog="puma-sim", allow_abbrev=False,
-        description="The first three joints of the PUMA 560 with their motors, simulated.")
+        prog="puma-sim",
+        allow_abbrev=False,
+        description="The first three joints of the PUMA 560 with their motors, simulated.",
+    )
     top.add_argument("--version", action="version", version=f"puma-sim {__version__}")
     commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for command in _COMMANDS:
         sub = commands.add_parser(
-            command.NAME, help=command.SUMMARY, description=command.__doc__, allow_abbrev=False,
-            formatter_class=argparse.RawDescriptionHelpFormatter)
+            command.NAME,
+            help=command.SUMMARY,
+            description=command.__doc__,
+            allow_abbrev=False,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
         command.add_arguments(sub)
         sub.set_defaults(run=command.run)
     return top

@@ -32,8 +32,7 @@ def whole_number(text: str, option: str, least: int) -> int:
     except ValueError:
         value = least - 1
     if value < least:
-        raise ParameterError(f"'{text}'", where=option,
-                             expected=f"a whole number, {least} or more")
+        raise ParameterError(f"'{text}'", where=option, expected=f"a whole number, {least} or more")
     return value
 
 
@@ -49,8 +48,7 @@ def joint_numbers(text: str, option: str, unit: str, joints: int) -> tuple[float
     except ValueError:
         values = ()
     if len(values) != joints or not all(map(isfinite, values)):
-        wanted = "one finite number" if joints == 1 else \
-            "three finite numbers with commas between them"
+        wanted = "one finite number" if joints == 1 else "three finite numbers with commas between them"
         raise ParameterError(f"'{text}'", where=option, expected=f"{wanted} [{unit}]")
     return values
 
@@ -58,17 +56,25 @@ def joint_numbers(text: str, option: str, unit: str, joints: int) -> tuple[float
 def add_plant_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options that `plant_of` reads."""
     source = parser.add_mutually_exclusive_group()
-    source.add_argument("--parameters", metavar="SET|FILE",
-                        help="published set or parameter file of the arm (default bejczy; "
-                             "`puma-sim list` lists the sets)")
-    source.add_argument("--model", metavar="FILE",
-                        help="model file: parameters and effects in one")
-    parser.add_argument("--effect", metavar="NAME:KEY=VALUE,...", action="append", default=[],
-                        help="add an effect, such as coulomb_friction:joint=2,torque=12; may "
-                             "stand more than once (`puma-sim list` lists them)")
-    parser.add_argument("--torque-form", choices=("physical", "printed"),
-                        help="torque at the joint: N kt i (the default), or kt i as equation 5.2 "
-                             "prints it")
+    source.add_argument(
+        "--parameters",
+        metavar="SET|FILE",
+        help="published set or parameter file of the arm (default bejczy; `puma-sim list` lists the sets)",
+    )
+    source.add_argument("--model", metavar="FILE", help="model file: parameters and effects in one")
+    parser.add_argument(
+        "--effect",
+        metavar="NAME:KEY=VALUE,...",
+        action="append",
+        default=[],
+        help="add an effect, such as coulomb_friction:joint=2,torque=12; may "
+        "stand more than once (`puma-sim list` lists them)",
+    )
+    parser.add_argument(
+        "--torque-form",
+        choices=("physical", "printed"),
+        help="torque at the joint: N kt i (the default), or kt i as equation 5.2 prints it",
+    )
 
 
 def plant_of(options: argparse.Namespace) -> Plant:
@@ -83,8 +89,9 @@ def plant_of(options: argparse.Namespace) -> Plant:
     if options.torque_form is None:
         return base
     if base.joints != 3:
-        raise ParameterError(f"--torque-form with a model of {base.joints} joint",
-                             expected="a model of an arm: it is about its gears")
+        raise ParameterError(
+            f"--torque-form with a model of {base.joints} joint", expected="a model of an arm: it is about its gears"
+        )
     return Plant(base.arm, base.effects, options.torque_form)
 
 

@@ -30,31 +30,41 @@ SUMMARY = "write voltages that tell two effects apart, or show one"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--separate", metavar="A[,B]", required=True,
-                        help="effects (`puma-sim list`), each as NAME or NAME@JOINT")
-    parser.add_argument("--out", metavar="FILE", required=True,
-                        help="CSV of voltages to write; - for standard output")
-    parser.add_argument("--setpoints", metavar="FILE",
-                        help="also write the motion as columns time, setpoint1..n, for a machine "
-                             "that is to follow it under its own controller")
+    parser.add_argument(
+        "--separate", metavar="A[,B]", required=True, help="effects (`puma-sim list`), each as NAME or NAME@JOINT"
+    )
+    parser.add_argument("--out", metavar="FILE", required=True, help="CSV of voltages to write; - for standard output")
+    parser.add_argument(
+        "--setpoints",
+        metavar="FILE",
+        help="also write the motion as columns time, setpoint1..n, for a machine "
+        "that is to follow it under its own controller",
+    )
     parser.add_argument("--joint", metavar="J", help="joint of effects that name none")
-    parser.add_argument("--plant", metavar="NAME|FILE", default="puma560",
-                        help="mechanism: puma560 (default), pendulum, slide, or a YAML file")
+    parser.add_argument(
+        "--plant",
+        metavar="NAME|FILE",
+        default="puma560",
+        help="mechanism: puma560 (default), pendulum, slide, or a YAML file",
+    )
     source = parser.add_mutually_exclusive_group()
-    source.add_argument("--parameters", metavar="SET|FILE",
-                        help="published set or parameter file to start from (`puma-sim list`)")
-    source.add_argument("--model", metavar="FILE",
-                        help="model file to start from: parameters and effects in one")
+    source.add_argument(
+        "--parameters", metavar="SET|FILE", help="published set or parameter file to start from (`puma-sim list`)"
+    )
+    source.add_argument("--model", metavar="FILE", help="model file to start from: parameters and effects in one")
     parser.add_argument("--seconds", metavar="S", default="10", help="length of the record (10)")
-    parser.add_argument("--rate", metavar="HZ",
-                        help="rows a second (1071.43: the servo period of 28/30 ms)")
-    parser.add_argument("--max-voltage", metavar="V",
-                        help="greatest voltage (40 for an arm; of a single joint ten times that of "
-                             "a middling friction)")
-    parser.add_argument("--max-velocity", metavar="W",
-                        help="greatest speed of a joint [rad/s or m/s] (0.6 of its range a second)")
-    parser.add_argument("--seed", metavar="N", default="0",
-                        help="whole number from which all that is random follows (default 0)")
+    parser.add_argument("--rate", metavar="HZ", help="rows a second (1071.43: the servo period of 28/30 ms)")
+    parser.add_argument(
+        "--max-voltage",
+        metavar="V",
+        help="greatest voltage (40 for an arm; of a single joint ten times that of a middling friction)",
+    )
+    parser.add_argument(
+        "--max-velocity", metavar="W", help="greatest speed of a joint [rad/s or m/s] (0.6 of its range a second)"
+    )
+    parser.add_argument(
+        "--seed", metavar="N", default="0", help="whole number from which all that is random follows (default 0)"
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -62,17 +72,16 @@ def run(options: argparse.Namespace) -> int:
     seed = whole_number(options.seed, "--seed", 0)
     joint = None if options.joint is None else whole_number(options.joint, "--joint", 1)
     seconds = number(options.seconds, "--seconds")
-    greatest = {name: None if (text := getattr(options, name)) is None
-                else _positive(text, f"--{name.replace('_', '-')}")
-                for name in ("max_voltage", "max_velocity", "rate")}
-    inputs = [path for path in (options.plant, options.parameters, options.model)
-              if path is not None]
+    greatest = {
+        name: None if (text := getattr(options, name)) is None else _positive(text, f"--{name.replace('_', '-')}")
+        for name in ("max_voltage", "max_velocity", "rate")
+    }
+    inputs = [path for path in (options.plant, options.parameters, options.model) if path is not None]
     check_output(options.out, inputs)
     if options.setpoints is not None:
         check_output(options.setpoints, inputs)
         if options.setpoints == options.out:
-            raise ParameterError(f"'{options.out}' twice", where="--setpoints",
-                                 expected="another file than --out")
+            raise ParameterError(f"'{options.out}' twice", where="--setpoints", expected="another file than --out")
 
     from ..loop.design import design, suspects_of
     from ..loop.excitation import Limits
@@ -84,17 +93,27 @@ def run(options: argparse.Namespace) -> int:
     limits = Limits.of(mechanism, greatest["max_voltage"], greatest["max_velocity"])
     announce_compilation()
     with Progress() as shown:
-        found = design(mechanism, suspects, seconds=seconds, seed=seed, limits=limits,
-                       rate=greatest["rate"] or 1.0 / SERVO_PERIOD,
-                       progress=lambda what, share: shown(bar(what, share), share, 1))
+        found = design(
+            mechanism,
+            suspects,
+            seconds=seconds,
+            seed=seed,
+            limits=limits,
+            rate=greatest["rate"] or 1.0 / SERVO_PERIOD,
+            progress=lambda what, share: shown(bar(what, share), share, 1),
+        )
         head = _head(found, mechanism, options)
         _write(options.out, head, found.time, "voltage", found.voltage)
         if options.setpoints is not None:
             _write(options.setpoints, head, found.time, "setpoint", found.setpoint)
     from ..loop.selected import LEAST_GAIN
+
     if found.nats < LEAST_GAIN:
-        print(f"warning: {found.nats:.2g} nat are less than a name takes ({LEAST_GAIN:g}); give it "
-              "more time, voltage or range", file=sys.stderr)
+        print(
+            f"warning: {found.nats:.2g} nat are less than a name takes ({LEAST_GAIN:g}); give it "
+            "more time, voltage or range",
+            file=sys.stderr,
+        )
     print(found.sentence, file=sys.stderr)
     print(_start(found, mechanism), file=sys.stderr)
     return 0
@@ -113,12 +132,13 @@ def _start(found, mechanism) -> str:
 
 
 def _head(found, mechanism, options) -> list[str]:
-    source = f", {options.parameters or options.model}" if (
-        options.parameters or options.model) else ""
-    return [f"puma-sim excite --separate {','.join(found.suspects)}",
-            found.sentence,
-            f"plant {mechanism.name}{source}; {found.motion.seconds:g} s; seed {found.seed}",
-            _start(found, mechanism)]
+    source = f", {options.parameters or options.model}" if (options.parameters or options.model) else ""
+    return [
+        f"puma-sim excite --separate {','.join(found.suspects)}",
+        found.sentence,
+        f"plant {mechanism.name}{source}; {found.motion.seconds:g} s; seed {found.seed}",
+        _start(found, mechanism),
+    ]
 
 
 def _write(path: str, head: list[str], time, group: str, values) -> None:

@@ -38,23 +38,41 @@ _COLUMN = re.compile(r"time|enable|(voltage|position|velocity|current|setpoint)[
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("logs", metavar="LOG", nargs="+", help="CSV or bag to explain")
-    parser.add_argument("--held-out", metavar="LOG", nargs="+", action="extend", default=[],
-                        help="logs kept back to measure the errors on (default: blocks of LOG)")
-    parser.add_argument("--out", metavar="DIR", required=True,
-                        help="folder for report.json, report.html and model.yaml; made if it does "
-                             "not exist")
-    parser.add_argument("--plant", metavar="NAME|FILE", default="puma560",
-                        help="mechanism: puma560 (default), pendulum, slide, or a YAML file")
+    parser.add_argument(
+        "--held-out",
+        metavar="LOG",
+        nargs="+",
+        action="extend",
+        default=[],
+        help="logs kept back to measure the errors on (default: blocks of LOG)",
+    )
+    parser.add_argument(
+        "--out",
+        metavar="DIR",
+        required=True,
+        help="folder for report.json, report.html and model.yaml; made if it does not exist",
+    )
+    parser.add_argument(
+        "--plant",
+        metavar="NAME|FILE",
+        default="puma560",
+        help="mechanism: puma560 (default), pendulum, slide, or a YAML file",
+    )
     source = parser.add_mutually_exclusive_group()
-    source.add_argument("--parameters", metavar="SET|FILE",
-                        help="published set or parameter file to start from (`puma-sim list`)")
-    source.add_argument("--model", metavar="FILE",
-                        help="model file to start from: parameters and effects in one")
-    parser.add_argument("--columns", metavar="OURS=THEIRS,...", action="append", default=[],
-                        help="names of a CSV's columns, such as "
-                             "time=t_s,voltage1=motor_V,position1=q_rad; may stand more than once")
-    parser.add_argument("--seed", metavar="N", default="0",
-                        help="whole number from which all that is random follows (default 0)")
+    source.add_argument(
+        "--parameters", metavar="SET|FILE", help="published set or parameter file to start from (`puma-sim list`)"
+    )
+    source.add_argument("--model", metavar="FILE", help="model file to start from: parameters and effects in one")
+    parser.add_argument(
+        "--columns",
+        metavar="OURS=THEIRS,...",
+        action="append",
+        default=[],
+        help="names of a CSV's columns, such as time=t_s,voltage1=motor_V,position1=q_rad; may stand more than once",
+    )
+    parser.add_argument(
+        "--seed", metavar="N", default="0", help="whole number from which all that is random follows (default 0)"
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -72,9 +90,15 @@ def run(options: argparse.Namespace) -> int:
     announce_compilation()
     with Progress() as shown:
         explanation = explain(
-            options.logs, held_out=options.held_out, plant=options.plant,
-            parameters=options.parameters, model=options.model, columns=columns, seed=seed,
-            progress=lambda what, share: shown(bar(what, share), share, 1))
+            options.logs,
+            held_out=options.held_out,
+            plant=options.plant,
+            parameters=options.parameters,
+            model=options.model,
+            columns=columns,
+            seed=seed,
+            progress=lambda what, share: shown(bar(what, share), share, 1),
+        )
         paths = write_explanation(explanation, options.out)
     print(explanation.sentence)
     for path in paths:
@@ -88,18 +112,21 @@ def _columns(texts: list[str]) -> dict[str, str] | None:
     for item in (part for text in texts for part in text.split(",")):
         ours, equals, theirs = (part.strip() for part in item.partition("="))
         if not (ours and equals and theirs):
-            raise ParameterError(f"'{item}'", where="--columns",
-                                 expected="OURS=THEIRS, such as time=t_s")
+            raise ParameterError(f"'{item}'", where="--columns", expected="OURS=THEIRS, such as time=t_s")
         if not _COLUMN.fullmatch(ours):
-            raise ParameterError(f"unknown column '{ours}'", where="--columns",
-                                 expected="time, enable, voltage1, position1, velocity1, current1, "
-                                          "setpoint1, voltage2 and so on")
+            raise ParameterError(
+                f"unknown column '{ours}'",
+                where="--columns",
+                expected="time, enable, voltage1, position1, velocity1, current1, setpoint1, voltage2 and so on",
+            )
         if ours in found:
-            raise ParameterError(f"'{ours}' is given twice", where="--columns",
-                                 expected="each once")
+            raise ParameterError(f"'{ours}' is given twice", where="--columns", expected="each once")
         if theirs in found.values():
-            raise ParameterError(f"'{theirs}' is given for two columns", where="--columns",
-                                 expected="a column of the file for one of ours")
+            raise ParameterError(
+                f"'{theirs}' is given for two columns",
+                where="--columns",
+                expected="a column of the file for one of ours",
+            )
         found[ours] = theirs
     return found or None
 

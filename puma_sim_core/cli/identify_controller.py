@@ -35,26 +35,28 @@ SUMMARY = "find a controller's PID gains from a log"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("log", metavar="LOG", help="CSV of the controller's samples")
-    parser.add_argument("second", metavar="LOG2", nargs="?",
-                        help="another, taken at another pose: compare the gains")
+    parser.add_argument("second", metavar="LOG2", nargs="?", help="another, taken at another pose: compare the gains")
     parser.add_argument("--joint", metavar="N", help="1, 2 or 3: which columns to take")
-    parser.add_argument("--position-step", metavar="RAD",
-                        help="round the positions to this step, as the encoder did")
-    parser.add_argument("--delay", metavar="N",
-                        help="samples by which the recorded voltage is late (0)")
-    parser.add_argument("--limit", metavar="V",
-                        help="voltage at which the output saturates; such samples are left out")
-    parser.add_argument("--form", choices=("positional", "velocity"), default="positional",
-                        help="positional (the default): the sum includes the present error, as "
-                             "this program's own controllers have it; velocity: it ends one sample "
-                             "before, equations 7.5 to 7.7")
-    parser.add_argument("--derivative", choices=("auto", "error", "measurement"), default="auto",
-                        help="what the derivative is taken of (auto: whichever fits better)")
+    parser.add_argument("--position-step", metavar="RAD", help="round the positions to this step, as the encoder did")
+    parser.add_argument("--delay", metavar="N", help="samples by which the recorded voltage is late (0)")
+    parser.add_argument("--limit", metavar="V", help="voltage at which the output saturates; such samples are left out")
+    parser.add_argument(
+        "--form",
+        choices=("positional", "velocity"),
+        default="positional",
+        help="positional (the default): the sum includes the present error, as "
+        "this program's own controllers have it; velocity: it ends one sample "
+        "before, equations 7.5 to 7.7",
+    )
+    parser.add_argument(
+        "--derivative",
+        choices=("auto", "error", "measurement"),
+        default="auto",
+        help="what the derivative is taken of (auto: whichever fits better)",
+    )
     parser.add_argument("--confidence", metavar="P", help="of the intervals (0.95)")
-    parser.add_argument("--level", metavar="P",
-                        help="with LOG2: chance of a false alarm (0.01)")
-    parser.add_argument("--forgetting", metavar="L",
-                        help="forgetting factor, at most 1 (1: all samples count alike)")
+    parser.add_argument("--level", metavar="P", help="with LOG2: chance of a false alarm (0.01)")
+    parser.add_argument("--forgetting", metavar="L", help="forgetting factor, at most 1 (1: all samples count alike)")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -105,37 +107,46 @@ def _free(log, estimate, options) -> TransferFunction | None:
     if estimate.derivative == "measurement" or estimate.saturated:
         return None
     try:
-        return identify_transfer_function(log, method=METHODS[1], confidence=estimate.confidence,
-                                          forgetting=(1.0 if options.forgetting is None
-                                                      else float(options.forgetting)))
+        return identify_transfer_function(
+            log,
+            method=METHODS[1],
+            confidence=estimate.confidence,
+            forgetting=(1.0 if options.forgetting is None else float(options.forgetting)),
+        )
     except RecordingError:  # enough motion for three gains, not for five coefficients
         return None
 
 
 def _report(e: PidEstimate, free: TransferFunction | None):
     """Lines on one record."""
-    steps = "".join(f", {what} in steps of {value:.4g} {unit}" for what, value, unit in
-                    (("voltage", e.voltage_step * 1e3, "mV"),
-                     ("position", e.position_step * 1e3, "mrad")) if value > 0.0)
+    steps = "".join(
+        f", {what} in steps of {value:.4g} {unit}"
+        for what, value, unit in (("voltage", e.voltage_step * 1e3, "mV"), ("position", e.position_step * 1e3, "mrad"))
+        if value > 0.0
+    )
     left_out = f", {e.saturated} saturated ones left out" if e.saturated else ""
     yield f"{e.where}: {e.samples} samples of {e.period * 1e3:.5g} ms{left_out}{steps}"
-    yield f"  {'':<10}{'value':>11}  " + ("certain interval" if e.rounding_only
-                                           else f"{e.confidence * 100:g} % interval")
+    yield f"  {'':<10}{'value':>11}  " + (
+        "certain interval" if e.rounding_only else f"{e.confidence * 100:g} % interval"
+    )
     names = (("Kg, V/rad", e.gain), ("Ti, s", e.integral_time), ("Td, s", e.derivative_time))
     for name, found in names:
         yield f"  {name:<10}{found.value:>11.6g}  {found.low:.6g} to {found.high:.6g}"
     q = e.coefficients
-    what = {"measurement": "less the measurement", "error": "the error",
-            "either": "the error"}[e.derivative]
+    what = {"measurement": "less the measurement", "error": "the error", "either": "the error"}[e.derivative]
     yield (f"  from {what}: ({q[0]:.7g} {q[1]:+.7g} z^-1 {q[2]:+.7g} z^-2) / (1 - z^-1)")
     if e.derivative == "measurement":
-        yield (f"  from the setpoint: ({q[0] - q[2]:.7g} {q[1] + 2.0 * q[2]:+.7g} z^-1) / "
-               "(1 - z^-1): the derivative is of the measurement, so that there is no one "
-               "transfer function from the error")
+        yield (
+            f"  from the setpoint: ({q[0] - q[2]:.7g} {q[1] + 2.0 * q[2]:+.7g} z^-1) / "
+            "(1 - z^-1): the derivative is of the measurement, so that there is no one "
+            "transfer function from the error"
+        )
     if free is not None:
         a, n = [c.value for c in free.denominator], free.coefficients
-        yield (f"  denominator left free (instrumental variables): ({n[0]:.7g} {n[1]:+.7g} z^-1 "
-               f"{n[2]:+.7g} z^-2) / (1 {a[0]:+.5f} z^-1 {a[1]:+.5f} z^-2)")
+        yield (
+            f"  denominator left free (instrumental variables): ({n[0]:.7g} {n[1]:+.7g} z^-1 "
+            f"{n[2]:+.7g} z^-2) / (1 {a[0]:+.5f} z^-1 {a[1]:+.5f} z^-2)"
+        )
     yield _derivative(e)
     yield _remainder(e)
     if e.integral_time.value == float("inf"):
@@ -146,33 +157,43 @@ def _derivative(e: PidEstimate) -> str:
     if e.derivative == "either":
         return "  derivative of the error or of the measurement: the setpoint does not tell"
     other = {"error": "measurement", "measurement": "error"}[e.derivative]
-    beside = ("as told" if e.other_residual is None else
-              f"{e.residual:.3g} V rms are left; of the {other} they would be "
-              f"{e.other_residual:.3g} V")
+    beside = (
+        "as told"
+        if e.other_residual is None
+        else f"{e.residual:.3g} V rms are left; of the {other} they would be {e.other_residual:.3g} V"
+    )
     return f"  derivative of the {e.derivative}: {beside}"
 
 
 def _remainder(e: PidEstimate) -> str:
     if e.voltage_step == 0.0:
         return f"  {e.residual:.3g} V rms are left; the voltage has no step"
-    share = e.residual / (e.voltage_step / 12.0 ** 0.5)
+    share = e.residual / (e.voltage_step / 12.0**0.5)
     if e.rounding_only:
         return "  rounding of the voltage explains all that is left"
     if share < 1.2:
         return f"  {e.residual:.3g} V rms are left, about what rounding of the voltage leaves"
-    return (f"  {e.residual:.3g} V rms are left, {share:.3g} times what rounding of the voltage "
-            "leaves (other noise, other positions than the controller read, a delay, a limit, or "
-            "gains that change)")
+    return (
+        f"  {e.residual:.3g} V rms are left, {share:.3g} times what rounding of the voltage "
+        "leaves (other noise, other positions than the controller read, a delay, a limit, or "
+        "gains that change)"
+    )
 
 
 def _verdict(c: GainComparison):
     """Lines on two records."""
     if c.one_controller_possible is None:
-        yield (f"the gains {'differ' if c.different else 'may be the same'}: chance of such a "
-               f"difference with equal gains {c.p_value:.3g} (level {c.level:g})")
+        yield (
+            f"the gains {'differ' if c.different else 'may be the same'}: chance of such a "
+            f"difference with equal gains {c.p_value:.3g} (level {c.level:g})"
+        )
     elif c.different:
-        yield ("the gains differ: no one set of gains is within rounding of both logs (chance "
-               f"of such a difference with equal gains {c.p_value:.3g})")
+        yield (
+            "the gains differ: no one set of gains is within rounding of both logs (chance "
+            f"of such a difference with equal gains {c.p_value:.3g})"
+        )
     else:
-        yield ("the gains may be the same: one set of gains is within rounding of both logs "
-               f"(chance of such a difference with equal gains {c.p_value:.3g})")
+        yield (
+            "the gains may be the same: one set of gains is within rounding of both logs "
+            f"(chance of such a difference with equal gains {c.p_value:.3g})"
+        )

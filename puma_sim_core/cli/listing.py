@@ -24,8 +24,9 @@ SUMMARY = "list parameter sets and effects"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("name", metavar="NAME", nargs="?",
-                        help="this effect, or this set or parameter file (checked, as YAML)")
+    parser.add_argument(
+        "name", metavar="NAME", nargs="?", help="this effect, or this set or parameter file (checked, as YAML)"
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -46,8 +47,9 @@ def run(options: argparse.Namespace) -> int:
     elif name in sets or Path(name).exists():
         print(_parameter_file(name), end="")
     else:
-        raise ParameterError(f"'{name}' is not known",
-                             expected=f"a parameter file, or one of {', '.join([*sets, *KINDS])}")
+        raise ParameterError(
+            f"'{name}' is not known", expected=f"a parameter file, or one of {', '.join([*sets, *KINDS])}"
+        )
     return 0
 
 
@@ -70,15 +72,26 @@ def _set_text(name: str) -> str:
 def _effect_text(kind: Kind) -> str:
     keys = ["joint=1..3"] if kind.per_joint else []
     keys += [f"{p.name}=..." for p in kind.parameters if _is_required(p)]
-    lines = [f"{kind.name}  (acts on: {kind.acts})", f"  {kind.sentence}",
-             f"  {kind.equation}", f"  --effect {kind.name}:{','.join(keys)}"]
+    lines = [
+        f"{kind.name}  (acts on: {kind.acts})",
+        f"  {kind.sentence}",
+        f"  {kind.equation}",
+        f"  --effect {kind.name}:{','.join(keys)}",
+    ]
     names = [p.name for p in kind.parameters]
     units = [f"[{p.unit}]" for p in kind.parameters]
     for p, unit in zip(kind.parameters, units):
-        start = ("" if _is_required(p) else f"; {p.default:g} if not given"
-                 if p.default is not None else "; taken from the arm if not given")
-        lines.append(f"    {p.name:{max(map(len, names))}}  {unit:{max(map(len, units))}}  "
-                     f"{p.low:g} to {p.high:g}: {p.meaning}{start}")
+        start = (
+            ""
+            if _is_required(p)
+            else f"; {p.default:g} if not given"
+            if p.default is not None
+            else "; taken from the arm if not given"
+        )
+        lines.append(
+            f"    {p.name:{max(map(len, names))}}  {unit:{max(map(len, units))}}  "
+            f"{p.low:g} to {p.high:g}: {p.meaning}{start}"
+        )
     return "\n".join(lines)
 
 

@@ -17,8 +17,7 @@ SUMMARY = "write parameters and effects as one model file"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_plant_arguments(parser)
-    parser.add_argument("--out", metavar="FILE", default="-",
-                        help="the file to write (default -, standard output)")
+    parser.add_argument("--out", metavar="FILE", default="-", help="the file to write (default -, standard output)")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -30,18 +30,17 @@ def check_output(path: str, inputs: Iterable[str] = ()) -> None:
     if path == "-" or is_special(path):
         return
     folder = os.path.dirname(os.path.realpath(path))
-    for problem, is_so in (("is a folder", os.path.isdir(path)),
-                           ("its folder does not exist", not os.path.isdir(folder)),
-                           ("its folder cannot be written", not os.access(folder, os.W_OK)),
-                           ("cannot be written",
-                            os.path.exists(path) and not os.access(path, os.W_OK))):
+    for problem, is_so in (
+        ("is a folder", os.path.isdir(path)),
+        ("its folder does not exist", not os.path.isdir(folder)),
+        ("its folder cannot be written", not os.access(folder, os.W_OK)),
+        ("cannot be written", os.path.exists(path) and not os.access(path, os.W_OK)),
+    ):
         if is_so:
-            raise RecordingError(problem, where=path,
-                                 expected="a file in a folder that can be written, or -")
+            raise RecordingError(problem, where=path, expected="a file in a folder that can be written, or -")
     for other in inputs:
         if os.path.exists(path) and os.path.exists(other) and os.path.samefile(path, other):
-            raise RecordingError("is an input of this command", where=path,
-                                 expected="another file to write")
+            raise RecordingError("is an input of this command", where=path, expected="another file to write")
 
 
 @contextmanager
@@ -62,8 +61,9 @@ def output_file(path: str, error: type[PumaSimError] = RecordingError) -> Iterat
     except BrokenPipeError:
         raise
     except OSError as reason:
-        raise error(f"cannot be written ({reason.strerror})", where="standard output",
-                    expected="a place that takes the output") from None
+        raise error(
+            f"cannot be written ({reason.strerror})", where="standard output", expected="a place that takes the output"
+        ) from None
 
 
 class Progress:
@@ -106,5 +106,4 @@ def announce_compilation() -> None:
     from ..backend import compiles_first
 
     if compiles_first():
-        print("puma-sim: compiling the model, some twenty seconds; later runs load it",
-              file=sys.stderr)
+        print("puma-sim: compiling the model, some twenty seconds; later runs load it", file=sys.stderr)

@@ -17,8 +17,7 @@ SUMMARY = "close the bag of a recorder that was killed"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("bag", metavar="BAG", help="the bag's directory or its .mcap file")
-    parser.add_argument("--out", metavar="DIR",
-                        help="the bag to make (default: BAG with _recovered behind its name)")
+    parser.add_argument("--out", metavar="DIR", help="the bag to make (default: BAG with _recovered behind its name)")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -21,10 +21,8 @@ SUMMARY = "run a bag's commands again and compare, or publish it"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("bag", metavar="BAG", help="the bag's directory or its .mcap file")
-    parser.add_argument("--publish", action="store_true",
-                        help="publish the messages on their topics (needs ROS 2)")
-    parser.add_argument("--rate", metavar="X",
-                        help="with --publish: simulated seconds a second (default 1.0)")
+    parser.add_argument("--publish", action="store_true", help="publish the messages on their topics (needs ROS 2)")
+    parser.add_argument("--rate", metavar="X", help="with --publish: simulated seconds a second (default 1.0)")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -34,19 +32,18 @@ def run(options: argparse.Namespace) -> int:
         print(f"{_publisher()(options.bag, rate=rate)} messages published")
         return 0
     if options.rate is not None:
-        raise PumaSimError(f"--rate {options.rate} without --publish",
-                           expected="both, or neither: a comparison keeps no pace")
+        raise PumaSimError(
+            f"--rate {options.rate} without --publish", expected="both, or neither: a comparison keeps no pace"
+        )
     from ..backend import BACKEND
     from ..replay import replay
 
     announce_compilation()
     found = replay(options.bag)
-    print(f"{options.bag}: recorded by version {found.recorded_version} "
-          f"({found.recorded_kernel} kernel)")
+    print(f"{options.bag}: recorded by version {found.recorded_version} ({found.recorded_kernel} kernel)")
     print(f"{found.steps} steps and {found.commands} commands given again ({BACKEND} kernel)")
     if found.identical:
-        print("replay identical: every position, velocity, current, voltage and effort, to the "
-              "last bit")
+        print("replay identical: every position, velocity, current, voltage and effort, to the last bit")
         return 0
     print(f"replay differs first at {found.first_difference}")
     print(f"greatest difference in position {found.greatest_difference:.3g} rad")
@@ -58,8 +55,9 @@ def _publisher():
     try:
         from puma_sim_ros.bag_publisher import publish_bag
     except ImportError as error:
-        raise PumaSimError(f"{error.name or error} cannot be imported ({error})",
-                           where="replay --publish",
-                           expected="ROS 2: source its setup file, or install the extra 'ros'"
-                           ) from None
+        raise PumaSimError(
+            f"{error.name or error} cannot be imported ({error})",
+            where="replay --publish",
+            expected="ROS 2: source its setup file, or install the extra 'ros'",
+        ) from None
     return publish_bag

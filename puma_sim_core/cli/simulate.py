@@ -36,8 +36,11 @@ if TYPE_CHECKING:
 NAME = "simulate"
 SUMMARY = "run a file of voltages through the arm"
 
-_START = (("initial", "position", "rad"), ("initial_velocity", "velocity", "rad/s"),
-          ("initial_current", "current", "A"))
+_START = (
+    ("initial", "position", "rad"),
+    ("initial_velocity", "velocity", "rad/s"),
+    ("initial_current", "current", "A"),
+)
 #: steps between two looks at the clock and at Ctrl-C
 _STEPS_AT_ONCE = {"numba": 2_000_000, "python": 20_000}
 #: steps of a run: months of the compiled kernel, and far from where counts overflow
@@ -47,26 +50,29 @@ _MOST_STEPS = 1e14
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("file", metavar="FILE", help="CSV of voltages, or a log with --restart")
-    parser.add_argument("--out", metavar="FILE", required=True,
-                        help="CSV to write; - for standard output")
+    parser.add_argument("--out", metavar="FILE", required=True, help="CSV to write; - for standard output")
     add_plant_arguments(parser)
     parser.add_argument("--initial", metavar="Q1,Q2,Q3", help="positions at the start [rad] (0)")
-    parser.add_argument("--initial-velocity", metavar="W1,W2,W3",
-                        help="velocities at the start [rad/s] (0)")
-    parser.add_argument("--initial-current", metavar="I1,I2,I3",
-                        help="motor currents at the start [A] (0)")
-    parser.add_argument("--constrain", metavar="JOINT=HOW", action="append", default=[],
-                        help="joint1=hold, joint1=velocity:0.5 (or =velocity: the one it starts "
-                             "with), joint1=acceleration:1, joint1=free; may stand more than once")
-    parser.add_argument("--max-step", metavar="S",
-                        help="greatest step of integration [s] (28/30 ms; at most 8 ms)")
-    parser.add_argument("--restart", metavar="S",
-                        help="FILE is a measured log; start from its state every S seconds")
-    parser.add_argument("--limits", choices=("report", "error", "off"), default="report",
-                        help="what happens where a row is outside the joint ranges of the arm")
+    parser.add_argument("--initial-velocity", metavar="W1,W2,W3", help="velocities at the start [rad/s] (0)")
+    parser.add_argument("--initial-current", metavar="I1,I2,I3", help="motor currents at the start [A] (0)")
+    parser.add_argument(
+        "--constrain",
+        metavar="JOINT=HOW",
+        action="append",
+        default=[],
+        help="joint1=hold, joint1=velocity:0.5 (or =velocity: the one it starts "
+        "with), joint1=acceleration:1, joint1=free; may stand more than once",
+    )
+    parser.add_argument("--max-step", metavar="S", help="greatest step of integration [s] (28/30 ms; at most 8 ms)")
+    parser.add_argument("--restart", metavar="S", help="FILE is a measured log; start from its state every S seconds")
+    parser.add_argument(
+        "--limits",
+        choices=("report", "error", "off"),
+        default="report",
+        help="what happens where a row is outside the joint ranges of the arm",
+    )
     parser.add_argument("--max-velocity", metavar="W1,W2,W3", help="also limit velocities [rad/s]")
-    parser.add_argument("--max-acceleration", metavar="A1,A2,A3",
-                        help="also limit accelerations [rad/s^2]")
+    parser.add_argument("--max-acceleration", metavar="A1,A2,A3", help="also limit accelerations [rad/s^2]")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -91,8 +97,9 @@ def run(options: argparse.Namespace) -> int:
     _check_last_line(options.file)
     span = float(log.time[-1]) - float(log.time[0])
     if not span < _MOST_STEPS * simulator.max_step:
-        raise RecordingError(f"lasts {span:.3g} s", where=options.file,
-                             expected=f"times in seconds, fewer than {_MOST_STEPS:g} steps")
+        raise RecordingError(
+            f"lasts {span:.3g} s", where=options.file, expected=f"times in seconds, fewer than {_MOST_STEPS:g} steps"
+        )
     announce_compilation()
     with Progress() as progress:
         errors = None
@@ -105,7 +112,8 @@ def run(options: argparse.Namespace) -> int:
             raise RecordingError(
                 "the state is no longer finite",
                 where=f"{options.file}, row {error.step + 1} ({log.time[error.step]:.9g} s)",
-                expected="voltages, parameters and a start that the arm can follow") from None
+                expected="voltages, parameters and a start that the arm can follow",
+            ) from None
         exceeded = limits.first_exceeded(result)
         if exceeded and options.limits == "error":
             raise LimitError(exceeded[0], expected="a run within its limits")
@@ -115,8 +123,11 @@ def run(options: argparse.Namespace) -> int:
         print(f"warning: {sentence}", file=sys.stderr)
     for line in _summary(options, plant.position_unit, errors):
         print(line, file=sys.stderr)
-    print(f"{len(result)} row{'s' * (len(result) != 1)}, {span:.6g} s simulated by the {BACKEND} "
-          f"kernel; {time.perf_counter() - begin:.2f} s in all", file=sys.stderr)
+    print(
+        f"{len(result)} row{'s' * (len(result) != 1)}, {span:.6g} s simulated by the {BACKEND} "
+        f"kernel; {time.perf_counter() - begin:.2f} s in all",
+        file=sys.stderr,
+    )
     return 0
 
 
@@ -125,23 +136,26 @@ def _check_combination(options) -> None:
     if options.restart is not None:
         for name, _, _ in _START:
             if getattr(options, name) is not None:
-                raise ParameterError(f"--{name.replace('_', '-')} with --restart",
-                                     expected="one of them: a log starts from its measured state")
+                raise ParameterError(
+                    f"--{name.replace('_', '-')} with --restart",
+                    expected="one of them: a log starts from its measured state",
+                )
     if options.limits == "off":
         for name in ("max_velocity", "max_acceleration"):
             if getattr(options, name) is not None:
-                raise ParameterError(f"--{name.replace('_', '-')} with --limits off",
-                                     expected="--limits report or error")
+                raise ParameterError(
+                    f"--{name.replace('_', '-')} with --limits off", expected="--limits report or error"
+                )
 
 
 def _simulator(options) -> Simulator:
     from ..simulator import SERVO_PERIOD, Simulator, check_step
 
-    step = (SERVO_PERIOD if options.max_step is None
-            else check_step(number(options.max_step, "--max-step"), "--max-step"))
+    step = (
+        SERVO_PERIOD if options.max_step is None else check_step(number(options.max_step, "--max-step"), "--max-step")
+    )
     plant = plant_of(options)
-    return Simulator(plant, constraints=_constraints(options.constrain, plant.joints),
-                     max_step=step)
+    return Simulator(plant, constraints=_constraints(options.constrain, plant.joints), max_step=step)
 
 
 def _constraints(texts, joints: int) -> list[Constraint]:
@@ -154,24 +168,27 @@ def _constraints(texts, joints: int) -> list[Constraint]:
         name, _, how = text.partition("=")
         if name not in names:
             known = "joint1, joint2 or joint3" if joints == 3 else names[0]
-            raise ParameterError(f"'{text}'", where="--constrain",
-                                 expected=f"{known}, =, {', '.join(CONSTRAINTS)}")
+            raise ParameterError(f"'{text}'", where="--constrain", expected=f"{known}, =, {', '.join(CONSTRAINTS)}")
         if name in found:
-            raise ParameterError(f"{name} stands twice", where="--constrain",
-                                 expected="each joint once")
+            raise ParameterError(f"{name} stands twice", where="--constrain", expected="each joint once")
         try:
             found[name] = Constraint.parse(how)
         except ParameterError as error:
-            raise ParameterError(error.what, where=f"--constrain {text}: {error.where}",
-                                 expected=error.expected) from None
+            raise ParameterError(
+                error.what, where=f"--constrain {text}: {error.where}", expected=error.expected
+            ) from None
     return [found.get(name, Constraint()) for name in names]
 
 
 def _start(options, plant) -> dict:
     """Arguments of `Simulator.reset`."""
-    return {name: joint_numbers(text, f"--{option.replace('_', '-')}",
-                                unit.replace("rad", plant.position_unit), plant.joints)
-            for option, name, unit in _START if (text := getattr(options, option)) is not None}
+    return {
+        name: joint_numbers(
+            text, f"--{option.replace('_', '-')}", unit.replace("rad", plant.position_unit), plant.joints
+        )
+        for option, name, unit in _START
+        if (text := getattr(options, option)) is not None
+    }
 
 
 def _limits(options, simulator) -> Limits:
@@ -187,8 +204,7 @@ def _limits(options, simulator) -> Limits:
         return values
 
     ranges = None if options.limits == "off" else simulator.plant.arm.joint_ranges[:joints]
-    return Limits(ranges, greatest("max_velocity", f"{rad}/s"),
-                  greatest("max_acceleration", f"{rad}/s^2"), rad)
+    return Limits(ranges, greatest("max_velocity", f"{rad}/s"), greatest("max_acceleration", f"{rad}/s^2"), rad)
 
 
 def _check_last_line(path) -> None:
@@ -200,8 +216,7 @@ def _check_last_line(path) -> None:
     except OSError:  # a pipe, which has been read
         return
     if not whole:
-        print(f"warning: {path}: the last line does not end; its last number may be cut off",
-              file=sys.stderr)
+        print(f"warning: {path}: the last line does not end; its last number may be cut off", file=sys.stderr)
 
 
 def _run(simulator: Simulator, log: Recording, acceleration: bool, progress) -> Recording:
@@ -223,9 +238,13 @@ def _run(simulator: Simulator, log: Recording, acceleration: bool, progress) -> 
         except NonFiniteStateError as error:
             raise NonFiniteStateError(first + error.step) from None
         # the last row of a part is the first of the next
-        parts.append([values[:None if last == ends[-1] else -1]
-                      for values in (run.position, run.velocity, run.current, run.acceleration)
-                      if values is not None])
+        parts.append(
+            [
+                values[: None if last == ends[-1] else -1]
+                for values in (run.position, run.velocity, run.current, run.acceleration)
+                if values is not None
+            ]
+        )
         progress("simulating", last + 1, len(log))
         first = last
     names = ("position", "velocity", "current", "acceleration")
@@ -236,8 +255,13 @@ def _run(simulator: Simulator, log: Recording, acceleration: bool, progress) -> 
 def _run_windows(simulator, log, interval, limits, progress):
     from ..restart import run_windows
 
-    return run_windows(simulator, log, interval, acceleration=limits.acceleration is not None,
-                       report=lambda rows: progress("simulating", rows, len(log)))
+    return run_windows(
+        simulator,
+        log,
+        interval,
+        acceleration=limits.acceleration is not None,
+        report=lambda rows: progress("simulating", rows, len(log)),
+    )
 
 
 def _summary(options, unit: str, errors: OpenLoopErrors | None):
@@ -247,5 +271,4 @@ def _summary(options, unit: str, errors: OpenLoopErrors | None):
     windows = "window" if errors.windows == 1 else "windows"
     yield f"open-loop error of {errors.windows} {windows} of {float(options.restart):g} s [{unit}]:"
     for j in range(len(errors.rms)):
-        yield (f"  joint {j + 1}: rms {errors.rms[j]:.3e}, worst {errors.worst[j]:.3e} at "
-               f"{errors.worst_time[j]:.6g} s")
+        yield (f"  joint {j + 1}: rms {errors.rms[j]:.3e}, worst {errors.worst[j]:.3e} at {errors.worst_time[j]:.6g} s")

@@ -33,17 +33,22 @@ SUMMARY = "list or run the experiments of the thesis, with a page of the results
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("number", metavar="NUMBER", nargs="*",
-                        help="section of the thesis, such as 7.7.1, or 7.7 for all of it; without "
-                             "one, the list")
+    parser.add_argument(
+        "number",
+        metavar="NUMBER",
+        nargs="*",
+        help="section of the thesis, such as 7.7.1, or 7.7 for all of it; without one, the list",
+    )
     parser.add_argument("--all", action="store_true", help="run all of them")
-    parser.add_argument("--out", metavar="DIR",
-                        help="folder for the page (HTML, needs no network) and the numbers (JSON); "
-                             "made if it does not exist")
-    parser.add_argument("--seed", metavar="N", default="1",
-                        help="whole number from which all that is random follows (default 1)")
-    parser.add_argument("--jobs", metavar="N",
-                        help="processes at a time (default: as many as there are cores)")
+    parser.add_argument(
+        "--out",
+        metavar="DIR",
+        help="folder for the page (HTML, needs no network) and the numbers (JSON); made if it does not exist",
+    )
+    parser.add_argument(
+        "--seed", metavar="N", default="1", help="whole number from which all that is random follows (default 1)"
+    )
+    parser.add_argument("--jobs", metavar="N", help="processes at a time (default: as many as there are cores)")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -53,19 +58,16 @@ def run(options: argparse.Namespace) -> int:
     seed = whole_number(options.seed, "--seed", 0)
     jobs = _cores() if options.jobs is None else whole_number(options.jobs, "--jobs", 1)
     if options.all and options.number:
-        raise ParameterError(f"--all and {' '.join(options.number)}", where="thesis",
-                             expected="one of the two")
+        raise ParameterError(f"--all and {' '.join(options.number)}", where="thesis", expected="one of the two")
     if not options.all and not options.number:
         if options.out is not None:
-            raise ParameterError("nothing to run for --out", where="thesis",
-                                 expected="a section or --all")
+            raise ParameterError("nothing to run for --out", where="thesis", expected="a section or --all")
         _list(list(experiments().values()))
         return 0
     if options.all:
         chosen = list(experiments().values())
     else:
-        chosen = list({each.number: each for number in options.number
-                       for each in find(number)}.values())
+        chosen = list({each.number: each for number in options.number for each in find(number)}.values())
     if options.out is None:
         _print(_results(chosen, seed, jobs))
         return 0
@@ -82,8 +84,9 @@ def _write(options: argparse.Namespace, chosen: list[Experiment], seed: int, job
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as reason:
-        raise RecordingError(f"cannot be made ({reason.strerror})", where=str(folder),
-                             expected="a folder for the page and the numbers") from None
+        raise RecordingError(
+            f"cannot be made ({reason.strerror})", where=str(folder), expected="a folder for the page and the numbers"
+        ) from None
     stem = "thesis" if options.all else "-".join(["thesis", *options.number])
     paths = [folder / f"{stem}.html", folder / f"{stem}.json"]
     for path in paths:
@@ -92,8 +95,7 @@ def _write(options: argparse.Namespace, chosen: list[Experiment], seed: int, job
     if not options.all:
         _print(results)
     with Progress() as shown:
-        texts = (page(results, seed, lambda share: shown(bar("drawing", share), share, 1)),
-                 json_text(results, seed))
+        texts = (page(results, seed, lambda share: shown(bar("drawing", share), share, 1)), json_text(results, seed))
     for path, text in zip(paths, texts):
         with output_file(str(path)) as file:
             file.write(text)
@@ -105,8 +107,7 @@ def _results(chosen: list[Experiment], seed: int, jobs: int) -> dict:
     from ..thesis.runner import run as run_experiments
 
     with Progress() as shown:
-        return run_experiments(chosen, seed, jobs,
-                               lambda what, share: shown(bar(what, share), share, 1))
+        return run_experiments(chosen, seed, jobs, lambda what, share: shown(bar(what, share), share, 1))
 
 
 def _list(found: list[Experiment]) -> None:
@@ -120,8 +121,7 @@ def _print(results: dict[str, tuple[Experiment, Result]]) -> None:
     for index, (found, result) in enumerate(results.values()):
         title = f"{found.number}  {found.title}"
         print(f"{chr(10) if index else ''}{title}\n{'=' * len(title)}\n")
-        print("\n\n".join(textwrap.fill(" ".join(part.split()), wide)
-                          for part in result.summary.split("\n\n")))
+        print("\n\n".join(textwrap.fill(" ".join(part.split()), wide) for part in result.summary.split("\n\n")))
         rows = (*result.rows, *result.page_rows)
         if rows:
             heads = ("printed", "correct") if found.number == "errata" else ("thesis", "ours")
@@ -136,15 +136,19 @@ def _table(rows: tuple[Row, ...], wide: int, heads: tuple[str, str]) -> str:
     lines = [f"{'':{first}}  {heads[0]:<{column}}  {heads[1]}", "-" * wide]
     for row in rows:
         unit = f" [{row.unit}]" if row.unit not in ("", "1") else ""
-        cells = [_wrapped(text, width) for text, width in (
-            (row.quantity + unit, first), (number_text(row.printed), column),
-            (number_text(row.ours), column))]
+        cells = [
+            _wrapped(text, width)
+            for text, width in (
+                (row.quantity + unit, first),
+                (number_text(row.printed), column),
+                (number_text(row.ours), column),
+            )
+        ]
         for i in range(max(map(len, cells))):
             left, middle, right = (cell[i] if i < len(cell) else "" for cell in cells)
             lines.append(f"{left:{first}}  {middle:{column}}  {right}".rstrip())
         if row.note:
-            lines.append(textwrap.fill(row.note, wide, initial_indent="    ",
-                                       subsequent_indent="    "))
+            lines.append(textwrap.fill(row.note, wide, initial_indent="    ", subsequent_indent="    "))
     return "\n".join(lines)
 
 

@@ -24,15 +24,11 @@ SUMMARY = "ultimate gain, period and PID settings of a joint at a pose"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--joint", metavar="1|2|3", required=True, help="the joint that moves")
-    parser.add_argument("--pose", metavar="Q1,Q2,Q3", default="0,0,0",
-                        help="where the joints stand [deg] (0,0,0)")
+    parser.add_argument("--pose", metavar="Q1,Q2,Q3", default="0,0,0", help="where the joints stand [deg] (0,0,0)")
     parser.add_argument("--period", metavar="S", help="time between samples [s] (28/30 ms)")
-    parser.add_argument("--delay", metavar="N", default="0",
-                        help="samples by which a voltage acts late (0)")
-    parser.add_argument("--limit", metavar="V/RAD", default="1e6",
-                        help="greatest gain that is looked at [V/rad] (1e6)")
-    parser.add_argument("--method", choices=("both", "eigenvalues", "simulation"), default="both",
-                        help="how (both)")
+    parser.add_argument("--delay", metavar="N", default="0", help="samples by which a voltage acts late (0)")
+    parser.add_argument("--limit", metavar="V/RAD", default="1e6", help="greatest gain that is looked at [V/rad] (1e6)")
+    parser.add_argument("--method", choices=("both", "eigenvalues", "simulation"), default="both", help="how (both)")
     add_plant_arguments(parser)
 
 
@@ -46,23 +42,22 @@ def run(options: argparse.Namespace) -> int:
     from math import inf, radians
 
     from ..control.linear import is_linear
-    from ..control.ziegler_nichols import (SETTINGS, Loop, settings, ultimate_by_eigenvalues,
-                                           ultimate_by_simulation)
+    from ..control.ziegler_nichols import SETTINGS, Loop, settings, ultimate_by_eigenvalues, ultimate_by_simulation
     from ..simulator import SERVO_PERIOD
 
     plant = plant_of(options)
     if plant.joints != 3:
-        raise ParameterError(f"a model of {plant.joints} joint", where="--model",
-                             expected="a model of an arm of three")
-    loop = Loop(plant, joint, tuple(map(radians, pose)), SERVO_PERIOD if period is None else period,
-                delay)
+        raise ParameterError(f"a model of {plant.joints} joint", where="--model", expected="a model of an arm of three")
+    loop = Loop(plant, joint, tuple(map(radians, pose)), SERVO_PERIOD if period is None else period, delay)
     found = {}
     if options.method != "simulation":
         found["eigenvalues"] = ultimate_by_eigenvalues(loop, limit=limit)
     if options.method != "eigenvalues":
         found["simulation"] = ultimate_by_simulation(loop, limit=limit)
-    print(f"joint {joint} of {plant.arm.name} at ({', '.join(f'{q:g}' for q in pose)}) deg, the "
-          f"others locked; sampled each {loop.period * 1e3:.6g} ms, {delay} samples of delay\n")
+    print(
+        f"joint {joint} of {plant.arm.name} at ({', '.join(f'{q:g}' for q in pose)}) deg, the "
+        f"others locked; sampled each {loop.period * 1e3:.6g} ms, {delay} samples of delay\n"
+    )
     print(f"{'':13}{'Kmax [V/rad]':>14}{'Tp [s]':>12}")
     for name, ultimate in found.items():
         print(f"{name:13}{ultimate.gain:14.6g}{ultimate.period:12.5g}")
@@ -73,8 +68,10 @@ def run(options: argparse.Namespace) -> int:
     if best.least_gain:
         print(f"below {best.least_gain:.4g} V/rad the joint falls over")
     if not is_linear(plant):
-        print("note: the plant has friction, limits or stops that eigenvalues cannot see; with "
-              "them the simulation's answer holds for small motion only")
+        print(
+            "note: the plant has friction, limits or stops that eigenvalues cannot see; with "
+            "them the simulation's answer holds for small motion only"
+        )
     print(f"\n{'table 7.2':13}{'Kg [V/rad]':>14}{'Ti [s]':>12}{'Td [s]':>12}")
     for method in SETTINGS:
         gains = settings(best, method)

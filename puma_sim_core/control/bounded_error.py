@@ -48,12 +48,10 @@ class Enclosure:
             cost = np.array(along) / self._scale
             size = float(np.abs(cost).max())
             low, high = (self._solve(sign * cost / size) for sign in (1.0, -1.0))
-            self._found[along] = (None if low is None or high is None
-                                  else (low * size, -high * size))
+            self._found[along] = None if low is None or high is None else (low * size, -high * size)
         return self._found[along]
 
-    def ratio_ends(self, above: Sequence[float], below: Sequence[float]
-                   ) -> tuple[float, float] | None:
+    def ratio_ends(self, above: Sequence[float], below: Sequence[float]) -> tuple[float, float] | None:
         """Least and greatest above' theta / below' theta, where below' theta > 0 in all of the set.
 
         Charnes and Cooper (1962): theta / (below' theta) and 1 / (below' theta) as unknowns. None
@@ -68,22 +66,30 @@ class Enclosure:
         size = np.abs(cost).max()
         found = []
         for sign in (1.0, -1.0):
-            result = linprog(sign * cost / size,
-                             A_ub=np.column_stack([self._sides, -self._limits]),
-                             b_ub=np.zeros(len(self._limits)),
-                             A_eq=np.append(np.asarray(below, dtype=float) / self._scale,
-                                            0.0)[None, :],
-                             b_eq=[unit], method="highs", options=_OPTIONS,
-                             bounds=[(None, None)] * len(self._scale) + [(0.0, None)])
+            result = linprog(
+                sign * cost / size,
+                A_ub=np.column_stack([self._sides, -self._limits]),
+                b_ub=np.zeros(len(self._limits)),
+                A_eq=np.append(np.asarray(below, dtype=float) / self._scale, 0.0)[None, :],
+                b_eq=[unit],
+                method="highs",
+                options=_OPTIONS,
+                bounds=[(None, None)] * len(self._scale) + [(0.0, None)],
+            )
             if result.status != 0:
                 return None
             found.append(float(sign * result.fun * size / unit))
         return found[0], found[1]
 
     def _solve(self, cost: np.ndarray) -> float | None:
-        result = linprog(cost, A_ub=self._sides, b_ub=self._limits,
-                         bounds=[(None, None)] * len(self._scale), method="highs",
-                         options=_OPTIONS)
+        result = linprog(
+            cost,
+            A_ub=self._sides,
+            b_ub=self._limits,
+            bounds=[(None, None)] * len(self._scale),
+            method="highs",
+            options=_OPTIONS,
+        )
         return float(result.fun) if result.status == 0 else None
 
 
@@ -93,7 +99,7 @@ def joint_rows(first: np.ndarray, second: np.ndarray, shared: int) -> np.ndarray
     first (m1, n1), second (m2, n2); the result is (m1 + m2, n1 + n2 - shared).
     """
     rows = np.zeros((len(first) + len(second), first.shape[1] + second.shape[1] - shared))
-    rows[:len(first), :first.shape[1]] = first
-    rows[len(first):, :shared] = second[:, :shared]
-    rows[len(first):, first.shape[1]:] = second[:, shared:]
+    rows[: len(first), : first.shape[1]] = first
+    rows[len(first) :, :shared] = second[:, :shared]
+    rows[len(first) :, first.shape[1] :] = second[:, shared:]
     return rows

@@ -38,8 +38,7 @@ _rigid_body = interpreted(rigid_body)
 #: share of the speed at which the back-EMF takes all of the voltage limit
 _REACHABLE = 0.9
 BACK_EMF = ("measured", "reference")
-_KEYS = ("bandwidth", "velocity_filter", "greatest_velocity", "greatest_acceleration", "lead",
-         "back_emf")
+_KEYS = ("bandwidth", "velocity_filter", "greatest_velocity", "greatest_acceleration", "lead", "back_emf")
 
 
 class InverseDynamics:
@@ -53,8 +52,7 @@ class InverseDynamics:
         # without the effects: a controller knows nothing of friction and loads
         plain = Plant(plant.arm, (), plant.torque_form)
         self._body = plain.constants.body
-        self._per_torque = tuple(m.resistance / kT for m, kT in
-                                 zip(plain.arm.motors, plain.torque_per_ampere))
+        self._per_torque = tuple(m.resistance / kT for m, kT in zip(plain.arm.motors, plain.torque_per_ampere))
         self.back_emf = tuple(m.back_emf * m.gear_ratio for m in plain.arm.motors)
 
     def terms(self, q, velocity):
@@ -64,16 +62,18 @@ class InverseDynamics:
         """
         u = q[1] + q[2]
         m11, m12, m13, m22, m23, m33, b1, b2, b3 = _rigid_body(
-            *velocity, 0.0, 0.0, 0.0, (sin(q[1]), cos(q[1]), sin(u), cos(u)), self._body)
+            *velocity, 0.0, 0.0, 0.0, (sin(q[1]), cos(q[1]), sin(u), cos(u)), self._body
+        )
         return ((m11, m12, m13), (m12, m22, m23), (m13, m23, m33)), (-b1, -b2, -b3)
 
     def combined(self, mass, bias, acceleration, turning) -> tuple[float, float, float]:
         """Volts from `terms`, accelerations (3,) [rad/s^2], and the velocities (3,) [rad/s] of
         which the back-EMF is taken."""
         a1, a2, a3 = acceleration
-        return tuple(k * (row[0] * a1 + row[1] * a2 + row[2] * a3 + b) + e * w
-                     for k, row, b, e, w in zip(self._per_torque, mass, bias, self.back_emf,
-                                                turning))
+        return tuple(
+            k * (row[0] * a1 + row[1] * a2 + row[2] * a3 + b) + e * w
+            for k, row, b, e, w in zip(self._per_torque, mass, bias, self.back_emf, turning)
+        )
 
     def voltages(self, q, velocity, acceleration) -> tuple[float, float, float]:
         """Volts that a motion needs: q [rad], velocity [rad/s], acceleration [rad/s^2], (3,)."""
@@ -81,8 +81,7 @@ class InverseDynamics:
 
     def own_damping(self, mass) -> tuple[float, float, float]:
         """Damping [1/s] that the back-EMF gives each joint alone; mass : rows of D + Ia."""
-        return tuple(e / (k * mass[j][j])
-                     for j, (e, k) in enumerate(zip(self.back_emf, self._per_torque)))
+        return tuple(e / (k * mass[j][j]) for j, (e, k) in enumerate(zip(self.back_emf, self._per_torque)))
 
 
 class ComputedTorque:
@@ -107,38 +106,55 @@ class ComputedTorque:
     ParameterError : names what cannot be.
     """
 
-    def __init__(self, model: ArmParameters | Plant, period: float, *,
-                 bandwidth: Sequence[float], velocity_filter: float,
-                 greatest_velocity: Sequence[float], greatest_acceleration: Sequence[float],
-                 lead: float = 1.0, back_emf: str = "measured", setpoint_period: float = 0.028,
-                 limit: float = inf, amplifier_gain: float = 1.0):
+    def __init__(
+        self,
+        model: ArmParameters | Plant,
+        period: float,
+        *,
+        bandwidth: Sequence[float],
+        velocity_filter: float,
+        greatest_velocity: Sequence[float],
+        greatest_acceleration: Sequence[float],
+        lead: float = 1.0,
+        back_emf: str = "measured",
+        setpoint_period: float = 0.028,
+        limit: float = inf,
+        amplifier_gain: float = 1.0,
+    ):
         where = "computed torque"
-        for name, value in (("period", period), ("limit", limit), ("amplifier_gain",
-                            amplifier_gain), ("velocity_filter", velocity_filter)):
-            if isinstance(value, (bool, str)) or not value > 0.0 \
-                    or (value == inf and name in ("period", "amplifier_gain")):
-                raise ParameterError(f"{name} = {value!r}", where=where,
-                                     expected="a positive number")
+        for name, value in (
+            ("period", period),
+            ("limit", limit),
+            ("amplifier_gain", amplifier_gain),
+            ("velocity_filter", velocity_filter),
+        ):
+            if (
+                isinstance(value, (bool, str))
+                or not value > 0.0
+                or (value == inf and name in ("period", "amplifier_gain"))
+            ):
+                raise ParameterError(f"{name} = {value!r}", where=where, expected="a positive number")
         bandwidth = tuple(bandwidth)
         if len(bandwidth) != 3 or not all(isfinite(b) and b > 0.0 for b in bandwidth):
-            raise ParameterError(f"bandwidth = {list(bandwidth)!r}", where=where,
-                                 expected="three positive numbers")
+            raise ParameterError(f"bandwidth = {list(bandwidth)!r}", where=where, expected="three positive numbers")
         if back_emf not in BACK_EMF:
-            raise ParameterError(f"back_emf '{back_emf}'", where=where,
-                                 expected=" or ".join(BACK_EMF))
+            raise ParameterError(f"back_emf '{back_emf}'", where=where, expected=" or ".join(BACK_EMF))
         samples = round(setpoint_period / period)
         if samples < 1 or abs(samples * period - setpoint_period) > 1e-9 * setpoint_period:
-            raise ParameterError(f"period = {period!r} s", where=where,
-                                 expected=f"a whole part of {setpoint_period!r} s")
+            raise ParameterError(
+                f"period = {period!r} s", where=where, expected=f"a whole part of {setpoint_period!r} s"
+            )
         self.period = float(period)
         self.limit = float(limit)
         self.dynamics = InverseDynamics(model)
         # faster than a motor can turn the reference would run away from the arm
         reachable = [_REACHABLE * limit / e for e in self.dynamics.back_emf]
-        velocity = [min(v, w) for v, w in zip(greatest_velocity, reachable)] \
-            if len(greatest_velocity) == 3 else greatest_velocity
-        self.reference = SetpointReference(samples, setpoint_period, velocity,
-                                           greatest_acceleration, lead)
+        velocity = (
+            [min(v, w) for v, w in zip(greatest_velocity, reachable)]
+            if len(greatest_velocity) == 3
+            else greatest_velocity
+        )
+        self.reference = SetpointReference(samples, setpoint_period, velocity, greatest_acceleration, lead)
         self._bandwidth = tuple(float(b) for b in bandwidth)
         self._measured = back_emf == "measured"
         self._filter = 1.0 - exp(-self.period * velocity_filter)
@@ -146,18 +162,15 @@ class ComputedTorque:
         self.reset()
 
     @classmethod
-    def from_settings(cls, model: ArmParameters | Plant, settings: Mapping, period: float,
-                      **others) -> ComputedTorque:
+    def from_settings(cls, model: ArmParameters | Plant, settings: Mapping, period: float, **others) -> ComputedTorque:
         """From a mapping with the six settings; raises ParameterError on others."""
         if not isinstance(settings, Mapping) or set(settings) != set(_KEYS):
             found = ", ".join(map(str, settings)) if isinstance(settings, Mapping) else settings
-            raise ParameterError(f"keys {found}", where="computed torque",
-                                 expected=", ".join(_KEYS))
+            raise ParameterError(f"keys {found}", where="computed torque", expected=", ".join(_KEYS))
         try:
             return cls(model, period, **settings, **others)
         except TypeError as error:
-            raise ParameterError(str(error), where="computed torque",
-                                 expected="numbers") from None
+            raise ParameterError(str(error), where="computed torque", expected="numbers") from None
 
     def reset(self) -> None:
         """Forget the past: no sum, at rest at the next sample."""
@@ -166,27 +179,27 @@ class ComputedTorque:
         self._before: tuple[float, ...] | None = None
         self._velocity = (0.0, 0.0, 0.0)
 
-    def update(self, t: float, setpoint: Sequence[float],
-               measurement: Sequence[float]) -> tuple[float, float, float]:
+    def update(self, t: float, setpoint: Sequence[float], measurement: Sequence[float]) -> tuple[float, float, float]:
         """Volts for one sample at time t [s]; setpoint and measurement (3,) [rad]."""
         if len(setpoint) != 3 or len(measurement) != 3:
-            raise ParameterError(f"{len(setpoint)} setpoints and {len(measurement)} measurements",
-                                 where="computed torque", expected="3 of each")
+            raise ParameterError(
+                f"{len(setpoint)} setpoints and {len(measurement)} measurements",
+                where="computed torque",
+                expected="3 of each",
+            )
         q = tuple(float(y) for y in measurement)
         h, c = self.period, self._filter
         before = q if self._before is None else self._before
-        self._velocity = v = tuple(w + c * ((new - old) / h - w)
-                                   for w, new, old in zip(self._velocity, q, before))
+        self._velocity = v = tuple(w + c * ((new - old) / h - w) for w, new, old in zip(self._velocity, q, before))
         self._before = q
         wanted = self.reference.update(setpoint, q)
         mass, bias = self.dynamics.terms(q, v)
-        damped = ((0.0, 0.0, 0.0) if self._measured else self.dynamics.own_damping(mass))
+        damped = (0.0, 0.0, 0.0) if self._measured else self.dynamics.own_damping(mass)
         acceleration, sums = [], []
         for j, (r, rd, rdd) in enumerate(wanted):
             b, e = self._bandwidth[j], r - q[j]
             sums.append(self._sum[j] + h * e)
-            acceleration.append(rdd + max(3.0 * b - damped[j], 0.0) * (rd - v[j])
-                                + b * b * (3.0 * e + b * sums[j]))
+            acceleration.append(rdd + max(3.0 * b - damped[j], 0.0) * (rd - v[j]) + b * b * (3.0 * e + b * sums[j]))
         turning = v if self._measured else tuple(rd for _, rd, _ in wanted)
         volts = self.dynamics.combined(mass, bias, acceleration, turning)
         for j, (r, _, _) in enumerate(wanted):

@@ -40,21 +40,23 @@ class ControllerLog:
 
     def __post_init__(self):
         if not (np.isfinite(self.period) and self.period > 0.0):
-            raise RecordingError(f"period {self.period!r} s", where=self.where,
-                                 expected="a positive number")
+            raise RecordingError(f"period {self.period!r} s", where=self.where, expected="a positive number")
         for name in _GROUPS:
             object.__setattr__(self, name, np.array(getattr(self, name), dtype=float))
         shapes = [getattr(self, name).shape for name in _GROUPS]
         if len(set(shapes)) != 1 or len(shapes[0]) != 1:
-            raise RecordingError(f"setpoint, position and voltage of shapes {shapes}",
-                                 where=self.where, expected="three of the shape (n,)")
+            raise RecordingError(
+                f"setpoint, position and voltage of shapes {shapes}",
+                where=self.where,
+                expected="three of the shape (n,)",
+            )
         if shapes[0][0] < FEWEST:
-            raise RecordingError(f"{shapes[0][0]} samples", where=self.where,
-                                 expected=f"at least {FEWEST}, better some thousands")
+            raise RecordingError(
+                f"{shapes[0][0]} samples", where=self.where, expected=f"at least {FEWEST}, better some thousands"
+            )
         for name in _GROUPS:
             if not np.isfinite(getattr(self, name)).all():
-                raise RecordingError(f"{name} is not finite", where=self.where,
-                                     expected="finite numbers")
+                raise RecordingError(f"{name} is not finite", where=self.where, expected="finite numbers")
 
     def __len__(self) -> int:
         return len(self.voltage)
@@ -72,10 +74,8 @@ class ControllerLog:
         ParameterError : a step that is not positive.
         """
         if not (np.isfinite(step) and step > 0.0):
-            raise ParameterError(f"{step!r} rad", where="step of the positions",
-                                 expected="a positive number")
+            raise ParameterError(f"{step!r} rad", where="step of the positions", expected="a positive number")
         return replace(self, position=np.floor(self.position / step + 0.5) * step)
-
 
     def with_delay(self, samples: int) -> ControllerLog:
         """Each voltage beside the sample that it answers, for a controller that is late.
@@ -86,13 +86,14 @@ class ControllerLog:
         ------
         ParameterError : a number that is negative or leaves fewer than 16 samples.
         """
-        if isinstance(samples, bool) or not isinstance(samples, int) \
-                or not 0 <= samples <= len(self) - FEWEST:
-            raise ParameterError(f"{samples!r} samples", where="delay",
-                                 expected=f"a whole number from 0 to {len(self) - FEWEST}")
+        if isinstance(samples, bool) or not isinstance(samples, int) or not 0 <= samples <= len(self) - FEWEST:
+            raise ParameterError(
+                f"{samples!r} samples", where="delay", expected=f"a whole number from 0 to {len(self) - FEWEST}"
+            )
         kept = len(self) - samples
-        return replace(self, setpoint=self.setpoint[:kept], position=self.position[:kept],
-                       voltage=self.voltage[samples:])
+        return replace(
+            self, setpoint=self.setpoint[:kept], position=self.position[:kept], voltage=self.voltage[samples:]
+        )
 
 
 def lattice_step(values: np.ndarray) -> float:
@@ -119,9 +120,12 @@ def even_period(time, where: str) -> float:
     uneven = np.flatnonzero(np.abs(steps - period) > _JITTER * period)
     if uneven.size:
         row = int(uneven[0])
-        raise RecordingError(f"{steps[row] * 1e3:.6g} ms after {time[row]:.9g} s", where=where,
-                             expected=f"evenly spaced samples, here {period * 1e3:.6g} ms apart "
-                                      "(one row a sample of the controller, none left out)")
+        raise RecordingError(
+            f"{steps[row] * 1e3:.6g} ms after {time[row]:.9g} s",
+            where=where,
+            expected=f"evenly spaced samples, here {period * 1e3:.6g} ms apart "
+            "(one row a sample of the controller, none left out)",
+        )
     # the mean of all, since printed times are rounded
     return float((time[-1] - time[0]) / (len(time) - 1))
 
@@ -146,18 +150,19 @@ def read_controller_log(path: str | os.PathLike, joint: int | None = None) -> Co
     table = read_columns(path, ((single, _OTHERS), (numbered, others)))
     if single[0] in table:
         if joint is not None:
-            raise RecordingError(f"joint {joint} of a log of one joint", where=str(path),
-                                 expected="columns setpoint1..3, position1..3, voltage1..3, "
-                                          "or no joint")
+            raise RecordingError(
+                f"joint {joint} of a log of one joint",
+                where=str(path),
+                expected="columns setpoint1..3, position1..3, voltage1..3, or no joint",
+            )
         names = single
     elif joint is None:
-        raise RecordingError("has the columns of three joints", where=str(path),
-                             expected="--joint 1, 2 or 3")
+        raise RecordingError("has the columns of three joints", where=str(path), expected="--joint 1, 2 or 3")
     else:
         names = tuple(f"{group}{joint}" for group in _GROUPS)
     if len(table["time"]) <= FEWEST:
-        raise RecordingError(f"{len(table['time'])} rows", where=str(path),
-                             expected=f"more than {FEWEST}, better some thousands")
+        raise RecordingError(
+            f"{len(table['time'])} rows", where=str(path), expected=f"more than {FEWEST}, better some thousands"
+        )
     where = str(path) if joint is None else f"{path}, joint {joint}"
-    return ControllerLog(even_period(table["time"], str(path)),
-                         *(table[name][:-1] for name in names), where=where)
+    return ControllerLog(even_period(table["time"], str(path)), *(table[name][:-1] for name in names), where=where)

@@ -36,21 +36,28 @@ def load_settings(kind: str, group: str = "servo", path: str | os.PathLike | Non
     """
     _check_kind(kind)
     if group not in GROUPS:
-        raise ParameterError(f"group '{group}'", where="controllers",
-                             expected=" or ".join(GROUPS))
+        raise ParameterError(f"group '{group}'", where="controllers", expected=" or ".join(GROUPS))
     path = config_path("controllers.yaml") if path is None else path
     found = read_yaml(path)
     for key in (group, kind):
         if not isinstance(found, Mapping) or not isinstance(found.get(key), Mapping):
-            raise ParameterError(f"no settings {group}: {kind}:", where=str(path),
-                                 expected="the form of config/controllers.yaml")
+            raise ParameterError(
+                f"no settings {group}: {kind}:", where=str(path), expected="the form of config/controllers.yaml"
+            )
         found = found[key]
     return deepcopy(dict(found))
 
 
-def make_controller(kind: str, model: ArmParameters | Plant, settings: Mapping | None = None,
-                    period: float = 0.028 / 30.0, voltage_limit: float = 40.0, *,
-                    setpoint_period: float = 0.028, amplifier_gain: float = 1.0):
+def make_controller(
+    kind: str,
+    model: ArmParameters | Plant,
+    settings: Mapping | None = None,
+    period: float = 0.028 / 30.0,
+    voltage_limit: float = 40.0,
+    *,
+    setpoint_period: float = 0.028,
+    amplifier_gain: float = 1.0,
+):
     """A controller of the three joints.
 
     Parameters
@@ -67,26 +74,27 @@ def make_controller(kind: str, model: ArmParameters | Plant, settings: Mapping |
     """
     _check_kind(kind)
     if not voltage_limit > 0.0 or not 0.0 < amplifier_gain < inf:
-        raise ParameterError(f"voltage_limit {voltage_limit!r} V, amplifier_gain "
-                             f"{amplifier_gain!r}", where="controller",
-                             expected="positive numbers")
+        raise ParameterError(
+            f"voltage_limit {voltage_limit!r} V, amplifier_gain {amplifier_gain!r}",
+            where="controller",
+            expected="positive numbers",
+        )
     settings = load_settings(kind) if settings is None else settings
     if not isinstance(settings, Mapping):
-        raise ParameterError(f"settings {settings!r}", where=f"controller '{kind}'",
-                             expected="a mapping")
+        raise ParameterError(f"settings {settings!r}", where=f"controller '{kind}'", expected="a mapping")
     if kind == "computed_torque":
-        return ComputedTorque.from_settings(model, settings, period, limit=voltage_limit,
-                                            setpoint_period=setpoint_period,
-                                            amplifier_gain=amplifier_gain)
+        return ComputedTorque.from_settings(
+            model, settings, period, limit=voltage_limit, setpoint_period=setpoint_period, amplifier_gain=amplifier_gain
+        )
     settings = dict(settings)
     on_measurement = settings.pop("derivative_on_measurement", None)
     if not isinstance(on_measurement, bool):
-        raise ParameterError(f"derivative_on_measurement = {on_measurement!r}",
-                             where=f"controller '{kind}'", expected="true or false")
+        raise ParameterError(
+            f"derivative_on_measurement = {on_measurement!r}", where=f"controller '{kind}'", expected="true or false"
+        )
     limit = voltage_limit / amplifier_gain
     if kind == "scheduled":
-        return ScheduledPid(GainSchedule.from_mapping(settings), period, limit=limit,
-                            on_measurement=on_measurement)
+        return ScheduledPid(GainSchedule.from_mapping(settings), period, limit=limit, on_measurement=on_measurement)
     return Pid(_pid_gains(settings), period, limit=limit, on_measurement=on_measurement)
 
 
@@ -97,10 +105,14 @@ def _check_kind(kind) -> None:
 
 def _pid_gains(settings) -> list[PidGains]:
     if set(settings) != set(_PID_KEYS):
-        raise ParameterError(f"keys {', '.join(map(str, settings))}", where="controller 'pid'",
-                             expected=f"{', '.join(_PID_KEYS)}, derivative_on_measurement")
+        raise ParameterError(
+            f"keys {', '.join(map(str, settings))}",
+            where="controller 'pid'",
+            expected=f"{', '.join(_PID_KEYS)}, derivative_on_measurement",
+        )
     columns = [settings[name] for name in _PID_KEYS]
     if not all(isinstance(column, (list, tuple)) and len(column) == 3 for column in columns):
-        raise ParameterError(f"gains {columns!r}", where="controller 'pid'",
-                             expected="three numbers of each, one for each joint")
+        raise ParameterError(
+            f"gains {columns!r}", where="controller 'pid'", expected="three numbers of each, one for each joint"
+        )
     return [PidGains(*values) for values in zip(*columns)]

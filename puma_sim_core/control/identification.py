@@ -111,9 +111,16 @@ class PidEstimate:
     equations: Equations = field(repr=False)
 
 
-def identify_pid(log: ControllerLog, *, form: str = "positional", derivative: str = "auto",
-                 confidence: float = 0.95, forgetting: float = 1.0,
-                 limit: float = inf, bounds: bool = True) -> PidEstimate:
+def identify_pid(
+    log: ControllerLog,
+    *,
+    form: str = "positional",
+    derivative: str = "auto",
+    confidence: float = 0.95,
+    forgetting: float = 1.0,
+    limit: float = inf,
+    bounds: bool = True,
+) -> PidEstimate:
     """PID gains of a record, with intervals.
 
     Parameters
@@ -144,11 +151,13 @@ def identify_pid(log: ControllerLog, *, form: str = "positional", derivative: st
     if derivative == "auto" and len(kinds) == 1:
         kind = "either"
     variance = _spread(fit.equations)
-    if fit.residual ** 2 > _UNEXPLAINED * variance:
-        raise RecordingError(f"a PID leaves {fit.residual:.3g} V rms of the voltage's "
-                             f"{sqrt(variance):.3g} V", where=log.where,
-                             expected="the error and voltage of one PID controller (setpoint, "
-                                      "position and voltage of the same joint and sample)")
+    if fit.residual**2 > _UNEXPLAINED * variance:
+        raise RecordingError(
+            f"a PID leaves {fit.residual:.3g} V rms of the voltage's {sqrt(variance):.3g} V",
+            where=log.where,
+            expected="the error and voltage of one PID controller (setpoint, "
+            "position and voltage of the same joint and sample)",
+        )
     z = float(ndtri(0.5 + 0.5 * confidence))
     gain_of = np.array([1.0, 0.0 if form == "positional" else 1.0, 0.0])
     h = log.period
@@ -157,24 +166,43 @@ def identify_pid(log: ControllerLog, *, form: str = "positional", derivative: st
         sign = "is negative" if gain.high < 0.0 else "is not determined"
         raise RecordingError(
             f"Kg {sign} ({gain.low:.4g} to {gain.high:.4g} V/rad at {confidence:g} confidence)",
-            where=log.where, expected="a record whose error moves, with the signs of setpoint, "
-                                      "position and voltage as the controller has them")
+            where=log.where,
+            expected="a record whose error moves, with the signs of setpoint, "
+            "position and voltage as the controller has them",
+        )
     integral = np.array([0.0, 1.0, 0.0])
     derive = np.array([0.0, 0.0, 1.0])
     q_of = np.array([[1.0, 1.0, 1.0], [-1.0, 0.0, -2.0], [0.0, 0.0, 1.0]])
     intervals = tuple(_linear(row, fit, z) for row in q_of)
-    squares = (gain, _integral_time(_ratio(integral, gain_of, fit, z), h),
-               _derivative_time(_ratio(derive, gain_of, fit, z), h))
+    squares = (
+        gain,
+        _integral_time(_ratio(integral, gain_of, fit, z), h),
+        _derivative_time(_ratio(derive, gain_of, fit, z), h),
+    )
     certain = None
     if bounds and step > 0.0 and forgetting == 1.0 and stretch.max() < _MOST_ENCLOSED:
         certain = _enclosed(fit.equations, step, gain_of, h)
     return PidEstimate(
-        *(certain or squares), certain is not None, squares,
-        tuple(float(q) for q in q_of @ fit.terms), intervals, kind, form, fit.terms,
-        fit.covariance, h, float(confidence), len(fit.equations.voltage),
-        int((stretch < 0).sum()), fit.residual,
-        None if len(fits) == 1 else fits[1 - best].residual, step, lattice_step(log.position),
-        log.where, fit.equations)
+        *(certain or squares),
+        certain is not None,
+        squares,
+        tuple(float(q) for q in q_of @ fit.terms),
+        intervals,
+        kind,
+        form,
+        fit.terms,
+        fit.covariance,
+        h,
+        float(confidence),
+        len(fit.equations.voltage),
+        int((stretch < 0).sum()),
+        fit.residual,
+        None if len(fits) == 1 else fits[1 - best].residual,
+        step,
+        lattice_step(log.position),
+        log.where,
+        fit.equations,
+    )
 
 
 @dataclass(frozen=True)
@@ -194,8 +222,7 @@ class GainComparison:
     one_controller_possible: bool | None
 
 
-def compare_gains(first: PidEstimate, second: PidEstimate, *,
-                  level: float = 0.01) -> GainComparison:
+def compare_gains(first: PidEstimate, second: PidEstimate, *, level: float = 0.01) -> GainComparison:
     """Test of equal gains in two records: gain scheduling, if they were taken at two poses.
 
     Raises
@@ -206,13 +233,14 @@ def compare_gains(first: PidEstimate, second: PidEstimate, *,
     if not 0.0 < level < 1.0:
         raise ParameterError(f"level {level!r}", expected="a number between 0 and 1")
     kinds = {first.derivative, second.derivative} - {"either"}
-    if (len(kinds) > 1 or first.form != second.form
-            or abs(first.period - second.period) > 1e-3 * first.period):
+    if len(kinds) > 1 or first.form != second.form or abs(first.period - second.period) > 1e-3 * first.period:
         raise ParameterError(
             f"{first.where} ({first.period * 1e3:.6g} ms, {first.form}, derivative of "
             f"{first.derivative}) and {second.where} ({second.period * 1e3:.6g} ms, {second.form}, "
-            f"derivative of {second.derivative})", where="two records",
-            expected="one period, one form and one kind of derivative")
+            f"derivative of {second.derivative})",
+            where="two records",
+            expected="one period, one form and one kind of derivative",
+        )
     change = second.terms - first.terms
     spread = np.sqrt(np.diag(first.covariance + second.covariance))
     scaled = (first.covariance + second.covariance) / np.outer(spread, spread)
@@ -221,10 +249,12 @@ def compare_gains(first: PidEstimate, second: PidEstimate, *,
     possible = None
     if first.rounding_only and second.rounding_only:
         a, b = first.equations, second.equations
-        steps = np.concatenate([np.full(len(a.voltage), first.voltage_step),
-                                np.full(len(b.voltage), second.voltage_step)])
-        possible = not Enclosure(joint_rows(a.rows, b.rows, 3),
-                                 np.concatenate([a.voltage, b.voltage]), steps).is_empty()
+        steps = np.concatenate(
+            [np.full(len(a.voltage), first.voltage_step), np.full(len(b.voltage), second.voltage_step)]
+        )
+        possible = not Enclosure(
+            joint_rows(a.rows, b.rows, 3), np.concatenate([a.voltage, b.voltage]), steps
+        ).is_empty()
     different = p_value < level if possible is None else not possible
     return GainComparison(different, statistic, p_value, level, possible)
 
@@ -252,11 +282,12 @@ def _fit(log: ControllerLog, kind: str, stretch: np.ndarray, forgetting: float) 
     covariance = sandwich(rows, rows, residuals, weight)
     # nothing is known better than sums of so many numbers in double precision
     rounding = 16.0 * len(used) * np.finfo(float).eps * float(np.abs(log.voltage).max())
-    covariance += rounding ** 2 * np.linalg.inv(filter_.information)
+    covariance += rounding**2 * np.linalg.inv(filter_.information)
     covariance = covariance[:3, :3] / np.outer(length, length)
-    residual = sqrt(float(weight @ residuals ** 2 / weight.sum()))
-    return _Fit(theta[:3] / length, covariance, residual,
-                Equations(np.column_stack([actions, rows[:, 3:]]), log.voltage[used]))
+    residual = sqrt(float(weight @ residuals**2 / weight.sum()))
+    return _Fit(
+        theta[:3] / length, covariance, residual, Equations(np.column_stack([actions, rows[:, 3:]]), log.voltage[used])
+    )
 
 
 def _actions(log: ControllerLog, kind: str, stretch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -280,18 +311,20 @@ def check_excitation(log: ControllerLog) -> None:
 
 def _check_actions(log, actions, voltage) -> None:
     length = np.linalg.norm(actions, axis=0)
-    expected = ("a record with motion: several starts and stops, or a path of changing speed")
+    expected = "a record with motion: several starts and stops, or a path of changing speed"
     if np.ptp(voltage) == 0.0:
         raise RecordingError("the voltage does not change", where=log.where, expected=expected)
     still = length <= 1e-12 * max(1.0, float(np.abs(log.setpoint).max())) * sqrt(len(actions))
     if still[0] or still[2]:
-        raise RecordingError("no excitation: the error does not change", where=log.where,
-                             expected=expected)
+        raise RecordingError("no excitation: the error does not change", where=log.where, expected=expected)
     smallest = float(np.linalg.svd(actions / length, compute_uv=False)[-1])
     if smallest < SINGULAR:
-        raise RecordingError("no sufficient excitation: the error, its sum and its difference are "
-                             "in fixed proportion (a single sinusoid, or a line)",
-                             where=log.where, expected=expected)
+        raise RecordingError(
+            "no sufficient excitation: the error, its sum and its difference are "
+            "in fixed proportion (a single sinusoid, or a line)",
+            where=log.where,
+            expected=expected,
+        )
 
 
 def _stretches(log: ControllerLog, limit: float, step: float) -> np.ndarray:
@@ -304,9 +337,11 @@ def _stretches(log: ControllerLog, limit: float, step: float) -> np.ndarray:
     for number, (a, b) in enumerate(kept):
         stretch[a:b] = number
     if not kept or len(kept) > _MOST_STRETCHES:
-        raise RecordingError(f"{int((~inside).sum())} of {len(log)} samples at the limit of "
-                             f"{limit:g} V, in {len(kept)} stretches", where=log.where,
-                             expected="a record whose voltage is mostly within its limit")
+        raise RecordingError(
+            f"{int((~inside).sum())} of {len(log)} samples at the limit of {limit:g} V, in {len(kept)} stretches",
+            where=log.where,
+            expected="a record whose voltage is mostly within its limit",
+        )
     return stretch
 
 
@@ -334,8 +369,7 @@ def _linear(along: np.ndarray, fit: _Fit, z: float) -> Interval:
 def _ratio(above: np.ndarray, below: np.ndarray, fit: _Fit, z: float) -> Interval:
     """Fieller's interval of a ratio whose denominator's own interval is above 0."""
     n, d = float(above @ fit.terms), float(below @ fit.terms)
-    nn, nd, dd = (z * z * float(a @ fit.covariance @ b)
-                  for a, b in ((above, above), (above, below), (below, below)))
+    nn, nd, dd = (z * z * float(a @ fit.covariance @ b) for a, b in ((above, above), (above, below), (below, below)))
     scale = d * d - dd
     middle = (n * d - nd) / scale
     # middle^2 - (n^2 - nn) / scale, without its differences of equal numbers
@@ -357,8 +391,9 @@ def _derivative_time(rate: Interval, h: float) -> Interval:
     return Interval(value, low, high)
 
 
-def _enclosed(equations: Equations, step: float, gain_of: np.ndarray, h: float
-              ) -> tuple[Interval, Interval, Interval] | None:
+def _enclosed(
+    equations: Equations, step: float, gain_of: np.ndarray, h: float
+) -> tuple[Interval, Interval, Interval] | None:
     """Certain intervals of Kg, Ti and Td, or None where rounding alone did not make the record."""
     pad = np.zeros(equations.rows.shape[1] - 3)
     enclosure = Enclosure(equations.rows, equations.voltage, step)
@@ -370,8 +405,7 @@ def _enclosed(equations: Equations, step: float, gain_of: np.ndarray, h: float
     derive = enclosure.ratio_ends(np.append([0.0, 0.0, 1.0], pad), below)
     if integral is None or derive is None:
         return None
-    return (_middle(*gain), _integral_time(_middle(*integral), h),
-            _derivative_time(_middle(*derive), h))
+    return (_middle(*gain), _integral_time(_middle(*integral), h), _derivative_time(_middle(*derive), h))
 
 
 def _middle(low: float, high: float) -> Interval:

@@ -35,8 +35,7 @@ class RecursiveLeastSquares:
 
     def __init__(self, size: int, forgetting: float = 1.0):
         if isinstance(size, bool) or not isinstance(size, int) or size < 1:
-            raise ParameterError(f"size {size!r}", where="least squares",
-                                 expected="a whole number of at least 1")
+            raise ParameterError(f"size {size!r}", where="least squares", expected="a whole number of at least 1")
         self.forgetting = check_forgetting(forgetting)
         self.size = size
         self.samples = 0
@@ -52,22 +51,23 @@ class RecursiveLeastSquares:
         rows = np.atleast_2d(np.asarray(rows, dtype=float))
         values = np.atleast_1d(np.asarray(values, dtype=float))
         if rows.shape != (len(values), self.size) or values.ndim != 1:
-            raise ParameterError(f"rows {rows.shape} and values {values.shape}",
-                                 where="least squares", expected=f"(m, {self.size}) and (m,)")
+            raise ParameterError(
+                f"rows {rows.shape} and values {values.shape}",
+                where="least squares",
+                expected=f"(m, {self.size}) and (m,)",
+            )
         if not (np.isfinite(rows).all() and np.isfinite(values).all()):
-            raise ParameterError("a row or value that is not finite", where="least squares",
-                                 expected="finite numbers")
+            raise ParameterError("a row or value that is not finite", where="least squares", expected="finite numbers")
         m = len(values)
         weight = np.sqrt(weights(m, self.forgetting))[:, None]
-        aged = np.sqrt(self.forgetting ** m) * self._factor
-        self._factor = np.linalg.qr(
-            np.vstack([aged, weight * np.column_stack([rows, values])]), mode="r")
+        aged = np.sqrt(self.forgetting**m) * self._factor
+        self._factor = np.linalg.qr(np.vstack([aged, weight * np.column_stack([rows, values])]), mode="r")
         self.samples += m
 
     @property
     def determined(self) -> bool:
         """Whether the rows so far determine every parameter."""
-        triangle = self._factor[:, :self.size]
+        triangle = self._factor[:, : self.size]
         length = np.linalg.norm(triangle, axis=0)
         if len(triangle) < self.size or not (length > 0.0).all():
             return False
@@ -77,23 +77,25 @@ class RecursiveLeastSquares:
     def estimate(self) -> np.ndarray:
         """(n,) theta; raises ParameterError while the rows do not determine it."""
         if not self.determined:
-            raise ParameterError(f"{self.samples} rows do not determine {self.size} parameters",
-                                 where="least squares", expected="rows that differ enough")
-        triangle = self._factor[:self.size, :self.size]
-        return np.linalg.solve(triangle, self._factor[:self.size, self.size])
+            raise ParameterError(
+                f"{self.samples} rows do not determine {self.size} parameters",
+                where="least squares",
+                expected="rows that differ enough",
+            )
+        triangle = self._factor[: self.size, : self.size]
+        return np.linalg.solve(triangle, self._factor[: self.size, self.size])
 
     @property
     def information(self) -> np.ndarray:
         """(n, n) sum of lambda^(n-k) phi phi'."""
-        triangle = self._factor[:, :self.size]
+        triangle = self._factor[:, : self.size]
         return triangle.T @ triangle
 
 
 def check_forgetting(value: float) -> float:
     """The forgetting factor, or a ParameterError."""
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 < value <= 1.0:
-        raise ParameterError(f"forgetting factor {value!r}",
-                             expected="a number above 0 and at most 1")
+        raise ParameterError(f"forgetting factor {value!r}", expected="a number above 0 and at most 1")
     return float(value)
 
 
@@ -102,8 +104,7 @@ def weights(samples: int, forgetting: float) -> np.ndarray:
     return forgetting ** np.arange(samples - 1, -1, -1.0)
 
 
-def sandwich(rows: np.ndarray, instruments: np.ndarray, residuals: np.ndarray,
-             weight: np.ndarray) -> np.ndarray:
+def sandwich(rows: np.ndarray, instruments: np.ndarray, residuals: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """(n, n) covariance of an estimate where residuals are correlated and of unequal size.
 
     rows, instruments (m, n): the same for least squares; residuals, weight (m,). Newey and West
@@ -126,8 +127,7 @@ def _lags(scores: np.ndarray) -> int:
     """Lags for Bartlett weights from a first-order autoregression of each score."""
     m = len(scores)
     power = (scores[:-1] ** 2).sum(axis=0)
-    rho = np.divide((scores[1:] * scores[:-1]).sum(axis=0), power,
-                    out=np.zeros_like(power), where=power > 0.0)
+    rho = np.divide((scores[1:] * scores[:-1]).sum(axis=0), power, out=np.zeros_like(power), where=power > 0.0)
     rho = np.clip(np.abs(rho), 0.0, 0.97).max()
-    alpha = 4.0 * rho ** 2 / (1.0 - rho ** 2) ** 2
+    alpha = 4.0 * rho**2 / (1.0 - rho**2) ** 2
     return int(min(max(m ** (1.0 / 3.0), 1.1447 * (alpha * m) ** (1.0 / 3.0)), m // 4))

@@ -48,18 +48,17 @@ def linearised(plant: Plant, pose, joints: Sequence[int] = (1, 2, 3)):
     n = len(at)
     pose = np.asarray(pose, dtype=float)
     motors = [plant.arm.motors[j] for j in at]
-    m = (inertia(pose, plant.loaded_arm)[..., at, :][..., at]
-         + np.diag([motor.inertia for motor in motors]))
+    m = inertia(pose, plant.loaded_arm)[..., at, :][..., at] + np.diag([motor.inertia for motor in motors])
     inverse = np.linalg.inv(m)
     a = np.zeros(pose.shape[:-1] + (3 * n, 3 * n))
-    a[..., :n, n:2 * n] = np.eye(n)
-    a[..., n:2 * n, :n] = -inverse @ stiffness(plant, pose)[..., at, :][..., at]
-    a[..., n:2 * n, n:2 * n] = -inverse * [plant.viscous_friction[j] for j in at]
-    a[..., n:2 * n, 2 * n:] = inverse * [plant.torque_per_ampere[j] for j in at]
-    a[..., 2 * n:, n:2 * n] = -np.diag([k.back_emf * k.gear_ratio / k.inductance for k in motors])
-    a[..., 2 * n:, 2 * n:] = -np.diag([k.resistance / k.inductance for k in motors])
+    a[..., :n, n : 2 * n] = np.eye(n)
+    a[..., n : 2 * n, :n] = -inverse @ stiffness(plant, pose)[..., at, :][..., at]
+    a[..., n : 2 * n, n : 2 * n] = -inverse * [plant.viscous_friction[j] for j in at]
+    a[..., n : 2 * n, 2 * n :] = inverse * [plant.torque_per_ampere[j] for j in at]
+    a[..., 2 * n :, n : 2 * n] = -np.diag([k.back_emf * k.gear_ratio / k.inductance for k in motors])
+    a[..., 2 * n :, 2 * n :] = -np.diag([k.resistance / k.inductance for k in motors])
     b = np.zeros((3 * n, n))
-    b[2 * n:] = np.diag([1.0 / k.inductance for k in motors])
+    b[2 * n :] = np.diag([1.0 / k.inductance for k in motors])
     return a, b
 
 
@@ -113,7 +112,7 @@ def pid_loop(f, g, gains: Sequence[PidGains], period: float, delay: int = 0) -> 
     size = late + n * delay
     law = np.zeros((n, size))
     loop = np.zeros(f.shape[:-2] + (size, size))
-    loop[..., :3 * n, :3 * n] = f
+    loop[..., : 3 * n, : 3 * n] = f
     for j, k in enumerate(gains):
         law[j, j] = -k.gain
         if j in sums:
@@ -128,12 +127,12 @@ def pid_loop(f, g, gains: Sequence[PidGains], period: float, delay: int = 0) -> 
             law[j, j] -= k.gain * rate
             law[j, last[j]] = k.gain * rate
     if delay == 0:
-        loop[..., :3 * n, :] += g @ law
+        loop[..., : 3 * n, :] += g @ law
         return loop
-    loop[..., :3 * n, late:late + n] = g
+    loop[..., : 3 * n, late : late + n] = g
     for i in range(late, late + n * (delay - 1)):
         loop[..., i, i + n] = 1.0
-    loop[..., size - n:, :] = law
+    loop[..., size - n :, :] = law
     return loop
 
 
@@ -152,11 +151,9 @@ def least_damped(loop, period: float) -> tuple[np.ndarray, np.ndarray]:
     z = np.linalg.eigvals(loop)
     with np.errstate(divide="ignore", invalid="ignore"):
         s = np.log(z) / period
-        damping = np.where((np.abs(z) > 1e-12) & (np.abs(s.imag) > 1e-9), -s.real / np.abs(s),
-                           np.nan)
+        damping = np.where((np.abs(z) > 1e-12) & (np.abs(s.imag) > 1e-9), -s.real / np.abs(s), np.nan)
         none = np.isnan(damping).all(axis=-1)
         which = np.argmin(np.where(np.isnan(damping), inf, damping), axis=-1)[..., None]
         at = np.take_along_axis(s, which, -1)[..., 0]
         ratio = np.take_along_axis(damping, which, -1)[..., 0]
-        return (np.where(none, np.nan, ratio),
-                np.where(none, np.nan, 2.0 * np.pi / np.abs(at.imag)))
+        return (np.where(none, np.nan, ratio), np.where(none, np.nan, 2.0 * np.pi / np.abs(at.imag)))

@@ -27,8 +27,9 @@ class StepQuality(NamedTuple):
     settling_time: float
 
 
-def step_quality(time, response, start: float, end: float, *, at: float | None = None,
-                 band: float = 0.02) -> StepQuality:
+def step_quality(
+    time, response, start: float, end: float, *, at: float | None = None, band: float = 0.02
+) -> StepQuality:
     """Quality of a response to a step from `start` to `end`.
 
     time (n,) [s], increasing; response (n,), of the unit of start and end; at : when the step is
@@ -41,24 +42,25 @@ def step_quality(time, response, start: float, end: float, *, at: float | None =
     """
     time, response = np.asarray(time, dtype=float), np.asarray(response, dtype=float)
     where = "step response"
-    if time.ndim != 1 or time.shape != response.shape or len(time) < 2 \
-            or not (np.diff(time) > 0.0).all():
-        raise ParameterError(f"time of shape {time.shape}, response of shape {response.shape}",
-                             where=where, expected="two equal, (n,), with increasing times")
-    if not (np.isfinite(time).all() and np.isfinite(response).all()
-            and isfinite(start) and isfinite(end)):
+    if time.ndim != 1 or time.shape != response.shape or len(time) < 2 or not (np.diff(time) > 0.0).all():
+        raise ParameterError(
+            f"time of shape {time.shape}, response of shape {response.shape}",
+            where=where,
+            expected="two equal, (n,), with increasing times",
+        )
+    if not (np.isfinite(time).all() and np.isfinite(response).all() and isfinite(start) and isfinite(end)):
         raise ParameterError("values that are not finite", where=where, expected="finite numbers")
     # a step of rounding is none
     if abs(end - start) <= 1e-12 * max(abs(start), abs(end), 1e-300):
-        raise ParameterError(f"from {start:.6g} to {end:.6g}: there is no step", where=where,
-                             expected="a start and an end that differ")
+        raise ParameterError(
+            f"from {start:.6g} to {end:.6g}: there is no step", where=where, expected="a start and an end that differ"
+        )
     if not 0.0 < band < 1.0:
         raise ParameterError(f"band {band!r}", where=where, expected="between 0 and 1")
     at = float(time[0]) if at is None else at
     after = time >= at - 1e-9
     if after.sum() < 2:
-        raise ParameterError(f"no samples after {at:.6g} s", where=where,
-                             expected="a step within the record")
+        raise ParameterError(f"no samples after {at:.6g} s", where=where, expected="a step within the record")
     t, y = time[after], (response[after] - start) / (end - start)
     low, high = _first_above(t, y, 0.1), _first_above(t, y, 0.9)
     outside = np.flatnonzero(np.abs(y - 1.0) > band)
@@ -91,13 +93,13 @@ def setpoint_step(recording: Recording, joint: int) -> tuple[float, float, float
     ParameterError : no setpoints, no step, or more than one change.
     """
     if recording.setpoint is None:
-        raise ParameterError("a recording without setpoints", where="step response",
-                             expected="setpoint1..3")
+        raise ParameterError("a recording without setpoints", where="step response", expected="setpoint1..3")
     values = recording.setpoint[:, joint - 1]
     changes = np.flatnonzero(np.diff(values))
     if changes.size != 1:
-        raise ParameterError(f"the setpoint of joint {joint} changes {changes.size} times",
-                             where="step response", expected="one step")
+        raise ParameterError(
+            f"the setpoint of joint {joint} changes {changes.size} times", where="step response", expected="one step"
+        )
     k = int(changes[0])
     return float(recording.time[k + 1]), float(values[k]), float(values[k + 1])
 
@@ -105,8 +107,7 @@ def setpoint_step(recording: Recording, joint: int) -> tuple[float, float, float
 def joint_step_quality(recording: Recording, joint: int, band: float = 0.02) -> StepQuality:
     """`step_quality` of a joint, 1 to 3, whose setpoint steps once; raises ParameterError."""
     at, start, end = setpoint_step(recording, joint)
-    return step_quality(recording.time, recording.position[:, joint - 1], start, end, at=at,
-                        band=band)
+    return step_quality(recording.time, recording.position[:, joint - 1], start, end, at=at, band=band)
 
 
 class TrackingError(NamedTuple):
@@ -127,10 +128,11 @@ def tracking_error(recording: Recording, path=None) -> TrackingError:
     """
     path = recording.setpoint if path is None else np.asarray(path, dtype=float)
     if recording.position is None or path is None or path.shape != recording.position.shape:
-        raise ParameterError("no path beside the positions", where="tracking error",
-                             expected="positions and a path, both (n, 3)")
+        raise ParameterError(
+            "no path beside the positions", where="tracking error", expected="positions and a path, both (n, 3)"
+        )
     error = recording.position - path
-    return TrackingError(np.sqrt((error ** 2).mean(axis=0)), np.abs(error).max(axis=0))
+    return TrackingError(np.sqrt((error**2).mean(axis=0)), np.abs(error).max(axis=0))
 
 
 class Effort(NamedTuple):
@@ -153,10 +155,8 @@ def effort(recording: Recording, voltage_limit: float, within: float = 1e-6) -> 
     if recording.voltage is None or len(recording) < 2:
         raise ParameterError("no voltages", where="effort", expected="two rows at least")
     if not voltage_limit > 0.0:
-        raise ParameterError(f"voltage_limit {voltage_limit!r} V", where="effort",
-                             expected="a positive number")
+        raise ParameterError(f"voltage_limit {voltage_limit!r} V", where="effort", expected="a positive number")
     held = np.diff(recording.time)
     volts = recording.voltage[:-1]
     share = held / held.sum()
-    return Effort(np.sqrt(share @ volts ** 2),
-                  share @ (np.abs(volts) >= (1.0 - within) * voltage_limit))
+    return Effort(np.sqrt(share @ volts**2), share @ (np.abs(volts) >= (1.0 - within) * voltage_limit))

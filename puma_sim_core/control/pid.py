@@ -38,11 +38,13 @@ class PidGains:
     def __post_init__(self):
         for name, low in (("gain", 0.0), ("integral_time", 1e-9), ("derivative_time", 0.0)):
             value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, (int, float)) \
-                    or not (isfinite(value) or (value == inf and name == "integral_time")) \
-                    or value < low:
-                raise ParameterError(f"{name} = {value!r}", where="PID gains",
-                                     expected=f"a number of at least {low:g}")
+            if (
+                isinstance(value, bool)
+                or not isinstance(value, (int, float))
+                or not (isfinite(value) or (value == inf and name == "integral_time"))
+                or value < low
+            ):
+                raise ParameterError(f"{name} = {value!r}", where="PID gains", expected=f"a number of at least {low:g}")
             object.__setattr__(self, name, float(value))
 
 
@@ -57,8 +59,7 @@ class Recursive(NamedTuple):
 def recursive_coefficients(gains: PidGains, period: float) -> Recursive:
     """Equations 7.5 to 7.7 for a sample period h [s], with the sign of q1 that 7.6 lacks."""
     kg, rate = gains.gain, gains.derivative_time / period
-    return Recursive(kg * (1.0 + rate),
-                     -kg * (1.0 + 2.0 * rate - period / gains.integral_time), kg * rate)
+    return Recursive(kg * (1.0 + rate), -kg * (1.0 + 2.0 * rate - period / gains.integral_time), kg * rate)
 
 
 def gains_of_recursive(q0: float, q1: float, q2: float, period: float) -> PidGains:
@@ -73,8 +74,9 @@ def gains_of_recursive(q0: float, q1: float, q2: float, period: float) -> PidGai
     """
     gain, total = q0 - q2, q0 + q1 + q2
     if not gain > 0.0 or not q2 >= 0.0 or not total >= 0.0:
-        raise ParameterError(f"q = ({q0:g}, {q1:g}, {q2:g})", where="PID coefficients",
-                             expected="q0 > q2 >= 0 and q0 + q1 + q2 >= 0")
+        raise ParameterError(
+            f"q = ({q0:g}, {q1:g}, {q2:g})", where="PID coefficients", expected="q0 > q2 >= 0 and q0 + q1 + q2 >= 0"
+        )
     return PidGains(gain, gain * period / total if total > 0.0 else inf, q2 * period / gain)
 
 
@@ -120,9 +122,16 @@ class Pid:
     ParameterError : a period or limit that is not positive, an unknown form.
     """
 
-    def __init__(self, gains: Sequence[PidGains], period: float, *, limit: float = inf,
-                 on_measurement: bool = False, form: str = "positional",
-                 anti_windup: bool = True):
+    def __init__(
+        self,
+        gains: Sequence[PidGains],
+        period: float,
+        *,
+        limit: float = inf,
+        on_measurement: bool = False,
+        form: str = "positional",
+        anti_windup: bool = True,
+    ):
         if not isfinite(period) or period <= 0.0:
             raise ParameterError(f"period = {period!r}", where="PID", expected="seconds, positive")
         if not limit > 0.0:
@@ -144,8 +153,7 @@ class Pid:
         self._before: list[float] | None = None
         self._last: list[tuple[float, float, float, float]] = []
 
-    def update(self, t: float, setpoint: Sequence[float],
-               measurement: Sequence[float]) -> tuple[float, ...]:
+    def update(self, t: float, setpoint: Sequence[float], measurement: Sequence[float]) -> tuple[float, ...]:
         """Volts for one sample at time t [s]; setpoint and measurement [rad], one a joint.
 
         Raises
@@ -153,8 +161,11 @@ class Pid:
         ParameterError : wrong number of joints.
         """
         if len(setpoint) != len(self.gains) or len(measurement) != len(self.gains):
-            raise ParameterError(f"{len(setpoint)} setpoints and {len(measurement)} measurements",
-                                 where="PID", expected=f"{len(self.gains)} of each")
+            raise ParameterError(
+                f"{len(setpoint)} setpoints and {len(measurement)} measurements",
+                where="PID",
+                expected=f"{len(self.gains)} of each",
+            )
         error = [float(r) - float(y) for r, y in zip(setpoint, measurement)]
         now = [-float(y) for y in measurement] if self.on_measurement else error
         return tuple(self._sample(error, now))
@@ -163,10 +174,16 @@ class Pid:
         before = now if self._before is None else self._before
         volts = []
         for j, g in enumerate(self.gains):
-            u, self._total[j] = _law(error[j], now[j], before[j], self._total[j], g.gain,
-                                     self.period / g.integral_time,
-                                     g.derivative_time / self.period,
-                                     self.limit if self.anti_windup else inf)
+            u, self._total[j] = _law(
+                error[j],
+                now[j],
+                before[j],
+                self._total[j],
+                g.gain,
+                self.period / g.integral_time,
+                g.derivative_time / self.period,
+                self.limit if self.anti_windup else inf,
+            )
             volts.append(self._limited(u))
         self._before = now
         return volts
@@ -174,14 +191,19 @@ class Pid:
     def _velocity(self, error, now) -> list[float]:
         if not self._last:
             # at rest with this error for ever: the proportional action alone
-            self._last = [(g.gain * (1.0 - self.period / g.integral_time) * e, e, d, d)
-                          for g, e, d in zip(self.gains, error, now)]
+            self._last = [
+                (g.gain * (1.0 - self.period / g.integral_time) * e, e, d, d) for g, e, d in zip(self.gains, error, now)
+            ]
         volts = []
         for j, (g, last) in enumerate(zip(self.gains, self._last)):
             u, e1, d1, d2 = last
             # 7.3, its terms put together so that d need not be the error
-            u += g.gain * (error[j] - e1 + self.period / g.integral_time * e1
-                           + g.derivative_time / self.period * (now[j] - 2.0 * d1 + d2))
+            u += g.gain * (
+                error[j]
+                - e1
+                + self.period / g.integral_time * e1
+                + g.derivative_time / self.period * (now[j] - 2.0 * d1 + d2)
+            )
             volts.append(self._limited(u))
             kept = volts[j] if self.anti_windup and g.integral_time < inf else u
             self._last[j] = kept, error[j], now[j], d1

@@ -42,21 +42,28 @@ class SetpointReference:
     ParameterError : a number that is out of its bounds.
     """
 
-    def __init__(self, samples: int, setpoint_period: float, velocity: Sequence[float],
-                 acceleration: Sequence[float], lead: float = 1.0):
+    def __init__(
+        self,
+        samples: int,
+        setpoint_period: float,
+        velocity: Sequence[float],
+        acceleration: Sequence[float],
+        lead: float = 1.0,
+    ):
         if not (isfinite(setpoint_period) and setpoint_period > 0.0) or samples < 1:
-            raise ParameterError(f"{samples!r} samples in {setpoint_period!r} s",
-                                 where="setpoint reference", expected="positive numbers")
+            raise ParameterError(
+                f"{samples!r} samples in {setpoint_period!r} s", where="setpoint reference", expected="positive numbers"
+            )
         if not 0.0 <= lead <= 1.0:
             raise ParameterError(f"lead {lead!r}", where="setpoint reference", expected="0 to 1")
         for name, values in (("velocity", velocity), ("acceleration", acceleration)):
             if len(values) != 3 or not all(isfinite(v) and v > 0.0 for v in values):
-                raise ParameterError(f"greatest {name} {list(values)!r}",
-                                     where="setpoint reference", expected="three positive numbers")
+                raise ParameterError(
+                    f"greatest {name} {list(values)!r}", where="setpoint reference", expected="three positive numbers"
+                )
         self._samples = samples
         self._T = float(setpoint_period)
-        self._joints = [_Bounded(self._T, float(v), float(a))
-                        for v, a in zip(velocity, acceleration)]
+        self._joints = [_Bounded(self._T, float(v), float(a)) for v, a in zip(velocity, acceleration)]
         self._lead = lead * _LATE * self._T
         self._k: int | None = None
 
@@ -64,8 +71,7 @@ class SetpointReference:
         """Forget the past: the next sample starts at rest where the arm is."""
         self._k = None
 
-    def update(self, setpoint: Sequence[float], measurement: Sequence[float]
-               ) -> list[tuple[float, float, float]]:
+    def update(self, setpoint: Sequence[float], measurement: Sequence[float]) -> list[tuple[float, float, float]]:
         """(position [rad], velocity [rad/s], acceleration [rad/s^2]) of each joint at a sample.
 
         setpoint, measurement : (3,) [rad]; the setpoint is taken at the first sample of its
@@ -94,9 +100,11 @@ class SetpointReference:
         c = self._lead * (before + u * (after - before))
         slope = self._lead * (after - before) / T
         # the spline of a parabola lies T^2/8 of its second derivative beside it: c T / 12
-        return (position + c * velocity + (0.5 * c - T / 12.0) * c * acceleration,
-                velocity + c * acceleration
-                + slope * (velocity + (c - T / 12.0) * acceleration), acceleration)
+        return (
+            position + c * velocity + (0.5 * c - T / 12.0) * c * acceleration,
+            velocity + c * acceleration + slope * (velocity + (c - T / 12.0) * acceleration),
+            acceleration,
+        )
 
 
 class _Bounded:
@@ -127,5 +135,4 @@ class _Bounded:
         after = target if at_target else p + wanted * T
         self._velocity = wanted
         self.points = (self.points[1], p, after)
-        self.shares = (self.shares[1],
-                       min(self.shares[1] + 1.0 / _BACK, 1.0) if at_target else 0.0)
+        self.shares = (self.shares[1], min(self.shares[1] + 1.0 / _BACK, 1.0) if at_target else 0.0)

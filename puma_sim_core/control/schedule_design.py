@@ -37,13 +37,11 @@ def placed_gains(plant: Plant, poses, bandwidth: Sequence[float]) -> np.ndarray:
     mass = np.einsum("...jj->...j", inertia(poses, arm)) + np.array(arm.motor_inertia)
     per = mass * [m.resistance / kT for m, kT in zip(arm.motors, plant.torque_per_ampere)]
     own = np.array([m.back_emf * m.gear_ratio for m in arm.motors])
-    gain = 3.0 * b ** 2 * per
-    return np.stack([gain, np.broadcast_to(3.0 / b, gain.shape),
-                     np.maximum(3.0 * b * per - own, 0.0) / gain], axis=-1)
+    gain = 3.0 * b**2 * per
+    return np.stack([gain, np.broadcast_to(3.0 / b, gain.shape), np.maximum(3.0 * b * per - own, 0.0) / gain], axis=-1)
 
 
-def ultimate_gains(plant: Plant, poses, period: float, delay: int,
-                   shares=GENTLE) -> np.ndarray:
+def ultimate_gains(plant: Plant, poses, period: float, delay: int, shares=GENTLE) -> np.ndarray:
     """(..., 3 joints, 3) Kg [V/rad], Ti [s], Td [s] at poses (..., 3) [rad].
 
     period : between samples [s]; delay : in samples.
@@ -56,8 +54,9 @@ def ultimate_gains(plant: Plant, poses, period: float, delay: int,
     for joint in (1, 2, 3):
         gain, tp, _ = ultimate_map(plant, joint, poses, period=period, delay=delay)
         if np.isnan(gain).any():
-            raise TuningError("a pose of the table has no ultimate gain", where=f"joint {joint}",
-                              expected="another period or delay")
+            raise TuningError(
+                "a pose of the table has no ultimate gain", where=f"joint {joint}", expected="another period or delay"
+            )
         joints.append(np.stack([shares[0] * gain, shares[1] * tp, shares[2] * tp], axis=-1))
     return np.stack(joints, axis=-2)
 
@@ -75,5 +74,4 @@ def schedule_of(q2, q3, gains_at) -> GainSchedule:
         values = gains[..., joint, k]
         return float(values[0, 0]) if (values == values[0, 0]).all() else values.tolist()
 
-    return GainSchedule(tuple(q2), tuple(q3),
-                        *(tuple(entry(j, k) for j in range(3)) for k in range(3)))
+    return GainSchedule(tuple(q2), tuple(q3), *(tuple(entry(j, k) for j in range(3)) for k in range(3)))

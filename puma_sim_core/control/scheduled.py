@@ -54,18 +54,19 @@ class GainSchedule:
         for name in _NAMES:
             entries = getattr(self, name)
             if isinstance(entries, str) or not isinstance(entries, Sequence) or len(entries) != 3:
-                raise ParameterError(f"{name} = {entries!r}", where="gain schedule",
-                                     expected="three entries, one for each joint")
-            object.__setattr__(self, name, tuple(
-                _entry(entry, f"{name} of joint {j}", shape)
-                for j, entry in enumerate(entries, 1)))
+                raise ParameterError(
+                    f"{name} = {entries!r}", where="gain schedule", expected="three entries, one for each joint"
+                )
+            object.__setattr__(
+                self, name, tuple(_entry(entry, f"{name} of joint {j}", shape) for j, entry in enumerate(entries, 1))
+            )
         for j in range(3):
             # PidGains refuses what no controller can have
-            for values in zip(*(np.broadcast_to(getattr(self, name)[j], shape).ravel().tolist()
-                                for name in _NAMES)):
+            for values in zip(*(np.broadcast_to(getattr(self, name)[j], shape).ravel().tolist() for name in _NAMES)):
                 if not PidGains(*values).gain > 0.0:
-                    raise ParameterError(f"gain of joint {j + 1} = {values[0]!r}",
-                                         where="gain schedule", expected="positive numbers")
+                    raise ParameterError(
+                        f"gain of joint {j + 1} = {values[0]!r}", where="gain schedule", expected="positive numbers"
+                    )
 
     def at(self, q2: float, q3: float) -> tuple[tuple[float, float, float], ...]:
         """(gain, integral_time, derivative_time) of each joint at a pose [rad]."""
@@ -79,23 +80,28 @@ class GainSchedule:
             left = low[k] + b * (low[k + 1] - low[k])
             return left + a * (high[k] + b * (high[k + 1] - high[k]) - left)
 
-        return tuple((value(g), value(ti), value(td)) for g, ti, td in
-                     zip(self.gain, self.integral_time, self.derivative_time))
+        return tuple(
+            (value(g), value(ti), value(td)) for g, ti, td in zip(self.gain, self.integral_time, self.derivative_time)
+        )
 
     def to_mapping(self) -> dict:
         """Plain values for a file."""
+
         def plain(entry):
             return entry if type(entry) is float else [list(row) for row in entry]
-        return {"q2": list(self.q2), "q3": list(self.q3),
-                **{name: [plain(entry) for entry in getattr(self, name)] for name in _NAMES}}
+
+        return {
+            "q2": list(self.q2),
+            "q3": list(self.q3),
+            **{name: [plain(entry) for entry in getattr(self, name)] for name in _NAMES},
+        }
 
     @classmethod
     def from_mapping(cls, mapping: Mapping) -> GainSchedule:
         """The inverse of `to_mapping`; raises ParameterError."""
         if not isinstance(mapping, Mapping) or set(mapping) != set(_KEYS):
             found = ", ".join(map(str, mapping)) if isinstance(mapping, Mapping) else repr(mapping)
-            raise ParameterError(f"keys {found}", where="gain schedule",
-                                 expected=", ".join(_KEYS))
+            raise ParameterError(f"keys {found}", where="gain schedule", expected=", ".join(_KEYS))
         return cls(**mapping)
 
 
@@ -104,10 +110,10 @@ def _angles(values, name: str) -> tuple[float, ...]:
         angles = tuple(float(value) for value in values)
     except (TypeError, ValueError):
         angles = ()
-    if len(angles) < 2 or not all(map(isfinite, angles)) \
-            or any(b <= a for a, b in zip(angles, angles[1:])):
-        raise ParameterError(f"{name} = {values!r}", where="gain schedule",
-                             expected="increasing angles [rad], two at least")
+    if len(angles) < 2 or not all(map(isfinite, angles)) or any(b <= a for a, b in zip(angles, angles[1:])):
+        raise ParameterError(
+            f"{name} = {values!r}", where="gain schedule", expected="increasing angles [rad], two at least"
+        )
     return angles
 
 
@@ -118,10 +124,12 @@ def _entry(entry, what: str, shape):
         values = np.empty(0)
     if values.shape == () and not isinstance(entry, (bool, str)):
         return float(entry)
-    if values.ndim != 2 or any(n not in (1, m) for n, m in zip(values.shape, shape)) \
-            or not np.isfinite(values).all():
-        raise ParameterError(f"{what} = {entry!r}"[:200], where="gain schedule",
-                             expected=f"a number, or {shape[0]} rows of {shape[1]} numbers")
+    if values.ndim != 2 or any(n not in (1, m) for n, m in zip(values.shape, shape)) or not np.isfinite(values).all():
+        raise ParameterError(
+            f"{what} = {entry!r}"[:200],
+            where="gain schedule",
+            expected=f"a number, or {shape[0]} rows of {shape[1]} numbers",
+        )
     return tuple(tuple(row) for row in np.broadcast_to(values, shape).tolist())
 
 
@@ -149,14 +157,11 @@ class ScheduledPid:
     ParameterError : a period or limit that is not positive.
     """
 
-    def __init__(self, schedule: GainSchedule, period: float, *, limit: float = inf,
-                 on_measurement: bool = True):
+    def __init__(self, schedule: GainSchedule, period: float, *, limit: float = inf, on_measurement: bool = True):
         if not (isfinite(period) and period > 0.0):
-            raise ParameterError(f"period = {period!r}", where="scheduled PID",
-                                 expected="seconds, positive")
+            raise ParameterError(f"period = {period!r}", where="scheduled PID", expected="seconds, positive")
         if not limit > 0.0:
-            raise ParameterError(f"limit = {limit!r}", where="scheduled PID",
-                                 expected="volts, positive")
+            raise ParameterError(f"limit = {limit!r}", where="scheduled PID", expected="volts, positive")
         self.schedule = schedule
         self.period = float(period)
         self.limit = float(limit)
@@ -169,8 +174,7 @@ class ScheduledPid:
         self._gain: list[float] | None = None
         self._before: list[float] | None = None
 
-    def update(self, t: float, setpoint: Sequence[float],
-               measurement: Sequence[float]) -> tuple[float, float, float]:
+    def update(self, t: float, setpoint: Sequence[float], measurement: Sequence[float]) -> tuple[float, float, float]:
         """Volts for one sample at time t [s]; setpoint and measurement (3,) [rad].
 
         Raises
@@ -178,8 +182,11 @@ class ScheduledPid:
         ParameterError : wrong number of joints.
         """
         if len(setpoint) != 3 or len(measurement) != 3:
-            raise ParameterError(f"{len(setpoint)} setpoints and {len(measurement)} measurements",
-                                 where="scheduled PID", expected="3 of each")
+            raise ParameterError(
+                f"{len(setpoint)} setpoints and {len(measurement)} measurements",
+                where="scheduled PID",
+                expected="3 of each",
+            )
         gains = self.schedule.at(float(measurement[1]), float(measurement[2]))
         if self._gain is None:
             self._gain = [g[0] for g in gains]
@@ -190,9 +197,16 @@ class ScheduledPid:
         for j, (gain, integral_time, derivative_time) in enumerate(gains):
             self._total[j] *= self._gain[j] / gain
             self._gain[j] = gain
-            u, self._total[j] = _law(error[j], now[j], before[j], self._total[j], gain,
-                                     self.period / integral_time, derivative_time / self.period,
-                                     self.limit)
+            u, self._total[j] = _law(
+                error[j],
+                now[j],
+                before[j],
+                self._total[j],
+                gain,
+                self.period / integral_time,
+                derivative_time / self.period,
+                self.limit,
+            )
             volts.append(u)
         self._before = now
         return tuple(volts)

@@ -29,8 +29,7 @@ GREATEST_DELAY = 1000
 
 #: Ziegler-Nichols settings from a fifth of the ultimate gains at 28/30 ms (upright, aligned and
 #: joint 3), with the periods stretched: well damped, and volts left for the motion
-DEFAULT_GAINS = (PidGains(900.0, 0.20, 0.03), PidGains(1600.0, 0.20, 0.03),
-                 PidGains(800.0, 0.20, 0.03))
+DEFAULT_GAINS = (PidGains(900.0, 0.20, 0.03), PidGains(1600.0, 0.20, 0.03), PidGains(800.0, 0.20, 0.03))
 
 
 @dataclass(frozen=True)
@@ -60,21 +59,27 @@ class ServoConfig:
     def __post_init__(self):
         object.__setattr__(self, "gains", tuple(self.gains))
         if len(self.gains) != 3 or not all(isinstance(g, PidGains) for g in self.gains):
-            raise ParameterError(f"gains {self.gains!r}", where="servo",
-                                 expected="PidGains of three joints")
+            raise ParameterError(f"gains {self.gains!r}", where="servo", expected="PidGains of three joints")
         if not (isfinite(self.amplifier_gain) and self.amplifier_gain > 0.0):
-            raise ParameterError(f"amplifier_gain {self.amplifier_gain!r}", where="servo",
-                                 expected="a positive number")
+            raise ParameterError(f"amplifier_gain {self.amplifier_gain!r}", where="servo", expected="a positive number")
         for name, low, high in (("converter_bits", 2, 32), ("encoder_counts", 1, 10**8)):
             value = getattr(self, name)
-            if value is not None and (isinstance(value, bool) or not isinstance(value, int)
-                                      or not low <= value <= high):
-                raise ParameterError(f"{name} {value!r}", where="servo",
-                                     expected=f"a whole number from {low} to {high}, or none")
-        if isinstance(self.delay_samples, bool) or not isinstance(self.delay_samples, int) \
-                or not 0 <= self.delay_samples <= GREATEST_DELAY:
-            raise ParameterError(f"delay_samples {self.delay_samples!r}", where="servo",
-                                 expected=f"a whole number from 0 to {GREATEST_DELAY}")
+            if value is not None and (
+                isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high
+            ):
+                raise ParameterError(
+                    f"{name} {value!r}", where="servo", expected=f"a whole number from {low} to {high}, or none"
+                )
+        if (
+            isinstance(self.delay_samples, bool)
+            or not isinstance(self.delay_samples, int)
+            or not 0 <= self.delay_samples <= GREATEST_DELAY
+        ):
+            raise ParameterError(
+                f"delay_samples {self.delay_samples!r}",
+                where="servo",
+                expected=f"a whole number from 0 to {GREATEST_DELAY}",
+            )
 
     def table(self, period: float, voltage_limit: float, gear_ratios) -> list[float]:
         """The flat table of 3 * SERVO_WIDTH numbers that the kernel reads.
@@ -86,12 +91,18 @@ class ServoConfig:
         bits, counts = self.converter_bits, self.encoder_counts
         table = []
         for gains, ratio in zip(self.gains, gear_ratios):
-            table += [gains.gain, period / gains.integral_time, gains.derivative_time / period,
-                      limit,
-                      0.0 if counts is None else 2.0 * pi / (counts * abs(ratio)),
-                      0.0 if bits is None or limit == inf else 2.0 * limit / 2.0 ** bits,
-                      self.amplifier_gain, 1.0 if self.derivative_on_measurement else 0.0,
-                      float(self.delay_samples), limit if self.anti_windup else inf]
+            table += [
+                gains.gain,
+                period / gains.integral_time,
+                gains.derivative_time / period,
+                limit,
+                0.0 if counts is None else 2.0 * pi / (counts * abs(ratio)),
+                0.0 if bits is None or limit == inf else 2.0 * limit / 2.0**bits,
+                self.amplifier_gain,
+                1.0 if self.derivative_on_measurement else 0.0,
+                float(self.delay_samples),
+                limit if self.anti_windup else inf,
+            ]
         return table
 
     def held_back(self, voltage=(0.0, 0.0, 0.0)) -> tuple[float, ...]:
@@ -101,12 +112,18 @@ class ServoConfig:
 
     def to_mapping(self) -> dict:
         """Plain values for a file."""
-        return {"gains": [{"gain": g.gain, "integral_time": g.integral_time,
-                           "derivative_time": g.derivative_time} for g in self.gains],
-                "amplifier_gain": self.amplifier_gain, "converter_bits": self.converter_bits,
-                "encoder_counts": self.encoder_counts,
-                "derivative_on_measurement": self.derivative_on_measurement,
-                "anti_windup": self.anti_windup, "delay_samples": self.delay_samples}
+        return {
+            "gains": [
+                {"gain": g.gain, "integral_time": g.integral_time, "derivative_time": g.derivative_time}
+                for g in self.gains
+            ],
+            "amplifier_gain": self.amplifier_gain,
+            "converter_bits": self.converter_bits,
+            "encoder_counts": self.encoder_counts,
+            "derivative_on_measurement": self.derivative_on_measurement,
+            "anti_windup": self.anti_windup,
+            "delay_samples": self.delay_samples,
+        }
 
     @classmethod
     def from_mapping(cls, mapping: dict) -> ServoConfig:
@@ -116,8 +133,7 @@ class ServoConfig:
             gains = tuple(PidGains(**g) for g in values.pop("gains", ()))
             return cls(**({"gains": gains} if gains else {}), **values)
         except TypeError as error:
-            raise ParameterError(f"{error}", where="servo",
-                                 expected="the keys of ServoConfig") from None
+            raise ParameterError(f"{error}", where="servo", expected="the keys of ServoConfig") from None
 
 
 @inlined

@@ -23,12 +23,12 @@ def smooth_share(tau):
     Velocity and acceleration vanish at both ends (quintic, minimum jerk).
     """
     tau = np.clip(tau, 0.0, 1.0)
-    return tau ** 3 * (10.0 + tau * (6.0 * tau - 15.0))
+    return tau**3 * (10.0 + tau * (6.0 * tau - 15.0))
 
 
 SHAPES = ("step", "ramp", "quintic")
 #: greatest slope and curvature of `smooth_share`
-_SLOPE, _CURVATURE = 1.875, 10.0 / 3.0 ** 0.5
+_SLOPE, _CURVATURE = 1.875, 10.0 / 3.0**0.5
 
 
 @dataclass(frozen=True)
@@ -50,15 +50,17 @@ class Move:
 
     def __post_init__(self):
         if self.shape not in SHAPES:
-            raise ParameterError(f"shape '{self.shape}'", where="move",
-                                 expected=" or ".join(SHAPES))
+            raise ParameterError(f"shape '{self.shape}'", where="move", expected=" or ".join(SHAPES))
         by = np.asarray(self.by, dtype=float)
         if by.shape != (3,) or not np.isfinite(by).all():
             raise ParameterError(f"by = {self.by!r}", where="move", expected="three finite numbers")
         good = self.duration == 0.0 if self.shape == "step" else self.duration > 0.0
         if not (isfinite(self.start) and isfinite(self.duration) and good):
-            raise ParameterError(f"{self.shape} at {self.start!r} s for {self.duration!r} s",
-                                 where="move", expected="times [s]: 0 for a step, else positive")
+            raise ParameterError(
+                f"{self.shape} at {self.start!r} s for {self.duration!r} s",
+                where="move",
+                expected="times [s]: 0 for a step, else positive",
+            )
 
     def at(self, time) -> np.ndarray:
         """(n, 3) what it adds at times (n,) [s]."""
@@ -75,12 +77,12 @@ class Move:
 
 def joint_path(start, moves: Sequence[Move], time) -> np.ndarray:
     """(n, 3) joint angles [rad] at times (n,) [s]: start (3,) and all moves."""
-    return np.asarray(start, dtype=float) + sum((move.at(time) for move in moves),
-                                                np.zeros((len(time), 3)))
+    return np.asarray(start, dtype=float) + sum((move.at(time) for move in moves), np.zeros((len(time), 3)))
 
 
-def joint_setpoints(start, moves: Sequence[Move], duration: float,
-                    period: float = 0.028) -> tuple[np.ndarray, np.ndarray]:
+def joint_setpoints(
+    start, moves: Sequence[Move], duration: float, period: float = 0.028
+) -> tuple[np.ndarray, np.ndarray]:
     """(time (n,) [s], setpoint (n, 3) [rad]) of `joint_path`, one each period, over `duration`.
 
     Raises
@@ -101,14 +103,14 @@ def quintic_duration(by, velocity, acceleration) -> float:
     ------
     ParameterError : bounds that are not positive, or no move at all.
     """
-    by, velocity, acceleration = (np.abs(np.asarray(v, dtype=float))
-                                  for v in (by, velocity, acceleration))
+    by, velocity, acceleration = (np.abs(np.asarray(v, dtype=float)) for v in (by, velocity, acceleration))
     if not (velocity > 0.0).all() or not (acceleration > 0.0).all() or not by.any():
-        raise ParameterError(f"by {by.tolist()} with velocity {velocity.tolist()} and acceleration "
-                             f"{acceleration.tolist()}", where="quintic move",
-                             expected="a move, and positive bounds")
-    return float(max((_SLOPE * by / velocity).max(),
-                     np.sqrt(_CURVATURE * by / acceleration).max()))
+        raise ParameterError(
+            f"by {by.tolist()} with velocity {velocity.tolist()} and acceleration {acceleration.tolist()}",
+            where="quintic move",
+            expected="a move, and positive bounds",
+        )
+    return float(max((_SLOPE * by / velocity).max(), np.sqrt(_CURVATURE * by / acceleration).max()))
 
 
 def _check_times(duration, period) -> None:
@@ -117,8 +119,9 @@ def _check_times(duration, period) -> None:
             raise ParameterError(f"{name} = {value!r} s", expected="a positive number")
 
 
-def straight_line(arm: ArmParameters, start, displacement, duration: float,
-                  period: float = 0.028) -> tuple[np.ndarray, np.ndarray]:
+def straight_line(
+    arm: ArmParameters, start, displacement, duration: float, period: float = 0.028
+) -> tuple[np.ndarray, np.ndarray]:
     """Setpoints that move the wrist along a straight line.
 
     start : (3,) joint angles at its beginning [rad]; displacement : (3,) of the wrist in the base
@@ -146,13 +149,16 @@ def straight_line(arm: ArmParameters, start, displacement, duration: float,
         for joint, (q, (low, high)) in enumerate(zip(before, arm.joint_ranges), start=1):
             if not low <= q <= high:
                 raise ParameterError(
-                    f"joint {joint} at {q:.4f} rad", where=f"wrist at height {point[2]:.4f} m",
-                    expected=f"{low:.4f} to {high:.4f} rad along the whole line")
+                    f"joint {joint} at {q:.4f} rad",
+                    where=f"wrist at height {point[2]:.4f} m",
+                    expected=f"{low:.4f} to {high:.4f} rad along the whole line",
+                )
     return time, setpoint
 
 
-def vertical_line(arm: ArmParameters, start, rise: float, duration: float,
-                  period: float = 0.028) -> tuple[np.ndarray, np.ndarray]:
+def vertical_line(
+    arm: ArmParameters, start, rise: float, duration: float, period: float = 0.028
+) -> tuple[np.ndarray, np.ndarray]:
     """Setpoints down (rise < 0) or up a vertical line [m], as in the tests of section 7.5.
 
     Arguments, result and errors of `straight_line`.

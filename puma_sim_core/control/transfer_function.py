@@ -47,8 +47,11 @@ def implied_gains(numerator, period: float, *, as_printed: bool = False) -> Impl
     q0, q1, q2 = (float(q) for q in numerator)
     gain, total = q0 - q2, q0 + (-q1 if as_printed else q1) + q2
     if gain == 0.0 or total == 0.0:
-        raise ParameterError(f"q = ({q0:g}, {q1:g}, {q2:g})", where="PID coefficients",
-                             expected="q0 other than q2, and a sum other than 0")
+        raise ParameterError(
+            f"q = ({q0:g}, {q1:g}, {q2:g})",
+            where="PID coefficients",
+            expected="q0 other than q2, and a sum other than 0",
+        )
     return ImpliedGains(gain, gain * period / total, q2 * period / gain)
 
 
@@ -84,9 +87,14 @@ def poles(denominator) -> tuple[complex, ...]:
     return tuple(complex(z) for z in sorted(found, key=lambda z: (-abs(z), -z.real, z.imag)))
 
 
-def identify_transfer_function(log: ControllerLog, *, order: int = 2,
-                               method: str = "least squares", confidence: float = 0.95,
-                               forgetting: float = 1.0) -> TransferFunction:
+def identify_transfer_function(
+    log: ControllerLog,
+    *,
+    order: int = 2,
+    method: str = "least squares",
+    confidence: float = 0.95,
+    forgetting: float = 1.0,
+) -> TransferFunction:
     """Transfer function with a free denominator of the given order (1 or 2).
 
     Intervals allow for correlated errors, not for the bias of "least squares" where the voltage is
@@ -111,8 +119,9 @@ def identify_transfer_function(log: ControllerLog, *, order: int = 2,
     filter_ = RecursiveLeastSquares(rows.shape[1], forgetting)
     filter_.update(rows, values)
     if not filter_.determined:
-        raise RecordingError("no sufficient excitation for a free denominator", where=log.where,
-                             expected="a path of changing speed")
+        raise RecordingError(
+            "no sufficient excitation for a free denominator", where=log.where, expected="a path of changing speed"
+        )
     weight = weights(len(values), filter_.forgetting)
     instruments, theta = rows, filter_.estimate
     if method == "instrumental variables":
@@ -126,16 +135,18 @@ def identify_transfer_function(log: ControllerLog, *, order: int = 2,
     theta = theta / length
     half = float(ndtri(0.5 + 0.5 * confidence)) * np.sqrt(np.diag(covariance))
     intervals = [Interval(float(t), float(t - w), float(t + w)) for t, w in zip(theta, half)]
-    residual = float(np.sqrt(weight @ residuals ** 2 / weight.sum()))
-    return TransferFunction(tuple(intervals[order:]), tuple(intervals[:order]), covariance,
-                            residual, log.period, method)
+    residual = float(np.sqrt(weight @ residuals**2 / weight.sum()))
+    return TransferFunction(
+        tuple(intervals[order:]), tuple(intervals[:order]), covariance, residual, log.period, method
+    )
 
 
 def _rows(error: np.ndarray, voltage: np.ndarray, order: int) -> np.ndarray:
     """Regressors from sample 3 on: the first whose voltages have a noise-free counterpart."""
     n = len(error)
-    return np.column_stack([*(-voltage[3 - lag:n - lag] for lag in range(1, order + 1)),
-                            *(error[3 - lag:n - lag] for lag in range(3))])
+    return np.column_stack(
+        [*(-voltage[3 - lag : n - lag] for lag in range(1, order + 1)), *(error[3 - lag : n - lag] for lag in range(3))]
+    )
 
 
 def _complete(pid) -> np.ndarray:

@@ -36,32 +36,41 @@ class VelocityLoop:
     ParameterError : names what cannot be.
     """
 
-    def __init__(self, period: float, *, position_gain: Sequence[float],
-                 velocity_gain: Sequence[float], velocity_time: Sequence[float],
-                 greatest_velocity: Sequence[float], greatest_acceleration: Sequence[float],
-                 velocity_filter: float = 300.0, lead: float = 1.0,
-                 setpoint_period: float = 0.028, limit: float = inf):
+    def __init__(
+        self,
+        period: float,
+        *,
+        position_gain: Sequence[float],
+        velocity_gain: Sequence[float],
+        velocity_time: Sequence[float],
+        greatest_velocity: Sequence[float],
+        greatest_acceleration: Sequence[float],
+        velocity_filter: float = 300.0,
+        lead: float = 1.0,
+        setpoint_period: float = 0.028,
+        limit: float = inf,
+    ):
         where = "velocity loop"
-        for name, values in (("position_gain", position_gain), ("velocity_gain", velocity_gain),
-                             ("velocity_time", velocity_time)):
+        for name, values in (
+            ("position_gain", position_gain),
+            ("velocity_gain", velocity_gain),
+            ("velocity_time", velocity_time),
+        ):
             if len(values) != 3 or not all(isfinite(v) and v > 0.0 for v in values):
-                raise ParameterError(f"{name} = {list(values)!r}", where=where,
-                                     expected="three positive numbers")
-        for name, value in (("period", period), ("limit", limit),
-                            ("velocity_filter", velocity_filter)):
+                raise ParameterError(f"{name} = {list(values)!r}", where=where, expected="three positive numbers")
+        for name, value in (("period", period), ("limit", limit), ("velocity_filter", velocity_filter)):
             if not value > 0.0:
-                raise ParameterError(f"{name} = {value!r}", where=where,
-                                     expected="a positive number")
+                raise ParameterError(f"{name} = {value!r}", where=where, expected="a positive number")
         samples = round(setpoint_period / period)
         if samples < 1 or abs(samples * period - setpoint_period) > 1e-9 * setpoint_period:
-            raise ParameterError(f"period = {period!r} s", where=where,
-                                 expected=f"a whole part of {setpoint_period!r} s")
+            raise ParameterError(
+                f"period = {period!r} s", where=where, expected=f"a whole part of {setpoint_period!r} s"
+            )
         self.period = float(period)
         self.limit = float(limit)
         self._gains = tuple(zip(position_gain, velocity_gain, velocity_time))
         self._filter = 1.0 - exp(-period * velocity_filter)
-        self._reference = SetpointReference(samples, setpoint_period, greatest_velocity,
-                                            greatest_acceleration, lead)
+        self._reference = SetpointReference(samples, setpoint_period, greatest_velocity, greatest_acceleration, lead)
         self.reset()
 
     def reset(self) -> None:
@@ -71,19 +80,16 @@ class VelocityLoop:
         self._velocity = [0.0, 0.0, 0.0]
         self._before: list[float] | None = None
 
-    def update(self, t: float, setpoint: Sequence[float],
-               measurement: Sequence[float]) -> tuple[float, float, float]:
+    def update(self, t: float, setpoint: Sequence[float], measurement: Sequence[float]) -> tuple[float, float, float]:
         """Volts for one sample at time t [s]; setpoint and measurement (3,) [rad]."""
         q = [float(y) for y in measurement]
         before = q if self._before is None else self._before
         self._before = q
         volts = []
-        for j, ((r, rd, _), (kp, kv, tv)) in enumerate(zip(self._reference.update(setpoint, q),
-                                                           self._gains)):
+        for j, ((r, rd, _), (kp, kv, tv)) in enumerate(zip(self._reference.update(setpoint, q), self._gains)):
             v = self._velocity[j]
             v = self._velocity[j] = v + self._filter * ((q[j] - before[j]) / self.period - v)
             error = rd + kp * (r - q[j]) - v
-            u, self._total[j] = _law(error, 0.0, 0.0, self._total[j], kv, self.period / tv, 0.0,
-                                     self.limit)
+            u, self._total[j] = _law(error, 0.0, 0.0, self._total[j], kv, self.period / tv, 0.0, self.limit)
             volts.append(u)
         return tuple(volts)

@@ -65,8 +65,7 @@ class Ultimate:
 def settings(ultimate: Ultimate, method: str = "PID") -> PidGains:
     """Table 7.2; method : "P", "PI" or "PID". Raises ParameterError for another."""
     if method not in SETTINGS:
-        raise ParameterError(f"method '{method}'", where="Ziegler-Nichols settings",
-                             expected=" or ".join(SETTINGS))
+        raise ParameterError(f"method '{method}'", where="Ziegler-Nichols settings", expected=" or ".join(SETTINGS))
     kg, ti, td = SETTINGS[method]
     return PidGains(kg * ultimate.gain, ti * ultimate.period, td * ultimate.period)
 
@@ -101,21 +100,20 @@ class Loop:
         object.__setattr__(self, "pose", three(self.pose, "pose"))
         for j, (q, (low, high)) in enumerate(zip(self.pose, self.plant.arm.joint_ranges), 1):
             if not low <= q <= high:
-                raise LimitError(f"joint {j} at {np.degrees(q):.6g} deg", where="pose",
-                                 expected=f"{np.degrees(low):.4g} to {np.degrees(high):.4g} deg")
+                raise LimitError(
+                    f"joint {j} at {np.degrees(q):.6g} deg",
+                    where="pose",
+                    expected=f"{np.degrees(low):.4g} to {np.degrees(high):.4g} deg",
+                )
         if not (isfinite(self.period) and 0.0 < self.period <= 1.0):
-            raise ParameterError(f"period {self.period!r} s",
-                                 expected="more than 0 and at most 1 s")
-        if isinstance(self.delay, bool) or not isinstance(self.delay, int) \
-                or not 0 <= self.delay <= GREATEST_DELAY:
-            raise ParameterError(f"delay {self.delay!r}",
-                                 expected=f"a whole number of samples, 0 to {GREATEST_DELAY}")
+            raise ParameterError(f"period {self.period!r} s", expected="more than 0 and at most 1 s")
+        if isinstance(self.delay, bool) or not isinstance(self.delay, int) or not 0 <= self.delay <= GREATEST_DELAY:
+            raise ParameterError(f"delay {self.delay!r}", expected=f"a whole number of samples, 0 to {GREATEST_DELAY}")
 
     def equilibrium(self) -> tuple[float, float]:
         """Voltage [V] and current [A] that hold the joint at its pose."""
         j = self.joint - 1
-        current = (gravity_torque(self.pose, self.plant.loaded_arm)[j]
-                   / self.plant.torque_per_ampere[j])
+        current = gravity_torque(self.pose, self.plant.loaded_arm)[j] / self.plant.torque_per_ampere[j]
         return current * self.plant.arm.motors[j].resistance, current
 
 
@@ -132,8 +130,7 @@ def ultimate_by_eigenvalues(loop: Loop, *, limit: float = GREATEST_GAIN) -> Ulti
     ------
     TuningError : no gain below the limit keeps the joint stable, or none makes it oscillate.
     """
-    found = _search(loop.plant, loop.joint, np.array(loop.pose), loop.period, loop.delay, limit,
-                    _GRID)
+    found = _search(loop.plant, loop.joint, np.array(loop.pose), loop.period, loop.delay, limit, _GRID)
     gain, period, least = (float(values) for values in found)
     if np.isnan(least):
         raise _no_stable_gain(loop, limit)
@@ -142,8 +139,9 @@ def ultimate_by_eigenvalues(loop: Loop, *, limit: float = GREATEST_GAIN) -> Ulti
     return Ultimate(gain, period, least)
 
 
-def ultimate_map(plant: Plant, joint: int, poses, *, period: float = SERVO_PERIOD, delay: int = 0,
-                 limit: float = GREATEST_GAIN) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def ultimate_map(
+    plant: Plant, joint: int, poses, *, period: float = SERVO_PERIOD, delay: int = 0, limit: float = GREATEST_GAIN
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """`ultimate_by_eigenvalues` at many poses (..., 3) [rad].
 
     Returns
@@ -183,8 +181,11 @@ def _search(plant, joint, poses, period, delay, limit, points):
     outermost = np.take_along_axis(z, np.argmax(np.abs(z), -1)[..., None], -1)[..., 0]
     angle = np.abs(np.angle(outermost))
     with np.errstate(divide="ignore"):
-        return (np.where(ends, gain, np.nan), np.where(ends, 2.0 * pi * period / angle, np.nan),
-                np.where(some, np.where(first == 0, 0.0, least), np.nan))
+        return (
+            np.where(ends, gain, np.nan),
+            np.where(ends, 2.0 * pi * period / angle, np.nan),
+            np.where(some, np.where(first == 0, 0.0, least), np.nan),
+        )
 
 
 def _bisected(is_below, low, high):
@@ -200,8 +201,9 @@ def _bisected(is_below, low, high):
 # ------------------------------------------------------------------------------------- simulation
 
 
-def ultimate_by_simulation(loop: Loop, *, limit: float = GREATEST_GAIN,
-                           amplitude: float = 1e-4, accuracy: float = 1e-3) -> Ultimate:
+def ultimate_by_simulation(
+    loop: Loop, *, limit: float = GREATEST_GAIN, amplitude: float = 1e-4, accuracy: float = 1e-3
+) -> Ultimate:
     """Ultimate gain and period as an experimenter finds them, on the nonlinear simulator.
 
     The joint stands at its pose, held against gravity, but `amplitude` [rad] beside it. Gains are
@@ -234,8 +236,11 @@ def ultimate_by_simulation(loop: Loop, *, limit: float = GREATEST_GAIN,
         enough = 2 * samples if period is None else ceil(_PERIODS * period / loop.period)
         if enough > samples:
             if period is None and enough > 64 * most:
-                raise TuningError("it falls without oscillating", where=_place(loop),
-                                  expected="an oscillation at the bound of stability")
+                raise TuningError(
+                    "it falls without oscillating",
+                    where=_place(loop),
+                    expected="an oscillation at the bound of stability",
+                )
             samples = enough
             while grows(low) and low > limit / _SPAN:
                 low *= _STRIDE
@@ -268,13 +273,14 @@ def _response(simulator, loop, gain, amplitude, samples) -> np.ndarray:
     simulator.reset(start, current=amperes)
     servo = ServoConfig(tuple(gains), delay_samples=loop.delay)
     try:
-        run = simulator.run_servo([setpoint], servo, period=samples * loop.period,
-                                  samples=samples, voltage_limit=inf, held_voltage=volts)
+        run = simulator.run_servo(
+            [setpoint], servo, period=samples * loop.period, samples=samples, voltage_limit=inf, held_voltage=volts
+        )
     except NonFiniteStateError:
         return np.array([amplitude, inf])
     deviation = run.position[:, j] - loop.pose[j]
     large = np.flatnonzero(np.abs(deviation) > 100.0 * amplitude)
-    return deviation[:large[0] + 1] if large.size else deviation
+    return deviation[: large[0] + 1] if large.size else deviation
 
 
 def _grows(deviation, samples, amplitude) -> bool:
@@ -285,14 +291,14 @@ def _grows(deviation, samples, amplitude) -> bool:
     quarter = len(deviation) // 4
     window = np.hanning(quarter)
     end = deviation[-quarter:] * window
-    before = deviation[-2 * quarter:-quarter] * window
+    before = deviation[-2 * quarter : -quarter] * window
     # what has died out leaves rounding, which need not shrink
     return bool(np.abs(end).max() > 1e-3 * amplitude and end @ end > before @ before)
 
 
 def _period(deviation, step) -> float | None:
     """Period [s] from the upward zero crossings of the last half, None for fewer than three."""
-    deviation = deviation[len(deviation) // 2:]
+    deviation = deviation[len(deviation) // 2 :]
     if not np.isfinite(deviation).all():
         return None
     up = np.flatnonzero((deviation[:-1] < 0.0) & (deviation[1:] >= 0.0))
@@ -303,17 +309,21 @@ def _period(deviation, step) -> float | None:
 
 
 def _no_ultimate_gain(loop, limit) -> TuningError:
-    return TuningError(f"no ultimate gain below {limit:g} V/rad: the oscillation dies out up to it",
-                       where=_place(loop), expected="a greater limit, or a longer period or delay")
+    return TuningError(
+        f"no ultimate gain below {limit:g} V/rad: the oscillation dies out up to it",
+        where=_place(loop),
+        expected="a greater limit, or a longer period or delay",
+    )
 
 
 def _no_stable_gain(loop, limit) -> TuningError:
-    return TuningError(f"no proportional gain below {limit:g} V/rad keeps the joint stable",
-                       where=_place(loop),
-                       expected="a shorter period or delay, or a pose that is easier to hold")
+    return TuningError(
+        f"no proportional gain below {limit:g} V/rad keeps the joint stable",
+        where=_place(loop),
+        expected="a shorter period or delay, or a pose that is easier to hold",
+    )
 
 
 def _place(loop) -> str:
     pose = ", ".join(f"{q:.4g}" for q in loop.pose)
-    return (f"joint {loop.joint} at ({pose}) rad, each {loop.period * 1e3:.4g} ms, "
-            f"{loop.delay} samples of delay")
+    return f"joint {loop.joint} at ({pose}) rad, each {loop.period * 1e3:.4g} ms, {loop.delay} samples of delay"

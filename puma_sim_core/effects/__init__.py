@@ -8,24 +8,65 @@ from collections.abc import Iterable
 
 from ..errors import ParameterError
 from . import amplifier, friction, load, motor, outside, sensing, stops, transmission
-from .base import (ALWAYS, BRISTLE, CURRENT_LIMIT, DELAYED, DROOP, DRY, POSED, SENSED, SMOOTH, TILT,
-                   TIMED, TWO_MASS, VARYING, Effect, Kind, Parameter)
+from .base import (
+    ALWAYS,
+    BRISTLE,
+    CURRENT_LIMIT,
+    DELAYED,
+    DROOP,
+    DRY,
+    POSED,
+    SENSED,
+    SMOOTH,
+    TILT,
+    TIMED,
+    TWO_MASS,
+    VARYING,
+    Effect,
+    Kind,
+    Parameter,
+)
 
-__all__ = ["ALWAYS", "BRISTLE", "CURRENT_LIMIT", "DELAYED", "DROOP", "DRY", "KINDS", "POSED",
-           "SENSED", "SMOOTH", "TILT", "TIMED", "TWO_MASS", "VARYING", "WIDTH", "Effect", "Kind",
-           "Parameter", "active_stages", "check_distinct", "fill_arm", "pack", "parse_effect",
-           "slot"]
+__all__ = [
+    "ALWAYS",
+    "BRISTLE",
+    "CURRENT_LIMIT",
+    "DELAYED",
+    "DROOP",
+    "DRY",
+    "KINDS",
+    "POSED",
+    "SENSED",
+    "SMOOTH",
+    "TILT",
+    "TIMED",
+    "TWO_MASS",
+    "VARYING",
+    "WIDTH",
+    "Effect",
+    "Kind",
+    "Parameter",
+    "active_stages",
+    "check_distinct",
+    "fill_arm",
+    "pack",
+    "parse_effect",
+    "slot",
+]
 
-KINDS: dict[str, Kind] = {kind.name: kind for kind in (
-    *friction.KINDS,
-    *amplifier.KINDS,
-    *stops.KINDS,
-    *load.KINDS,
-    *transmission.KINDS,
-    *motor.KINDS,
-    *outside.KINDS,
-    *sensing.KINDS,
-)}
+KINDS: dict[str, Kind] = {
+    kind.name: kind
+    for kind in (
+        *friction.KINDS,
+        *amplifier.KINDS,
+        *stops.KINDS,
+        *load.KINDS,
+        *transmission.KINDS,
+        *motor.KINDS,
+        *outside.KINDS,
+        *sensing.KINDS,
+    )
+}
 
 _SLOTS: dict[str, int] = {}
 for _kind in KINDS.values():
@@ -51,8 +92,9 @@ def parse_effect(text: str) -> Effect:
     """
     name, _, rest = text.strip().partition(":")
     if name not in KINDS:
-        raise ParameterError(f"unknown effect '{name}'", where=f"effect '{text}'",
-                             expected=f"one of {', '.join(KINDS)}")
+        raise ParameterError(
+            f"unknown effect '{name}'", where=f"effect '{text}'", expected=f"one of {', '.join(KINDS)}"
+        )
     joint: int | None = None
     values: dict[str, float] = {}
     for item in filter(None, rest.split(",")):
@@ -60,17 +102,16 @@ def parse_effect(text: str) -> Effect:
         if not equals or not key or not value:
             raise ParameterError(f"'{item}'", where=f"effect '{text}'", expected="key=value")
         if key in values or (key == "joint" and joint is not None):
-            raise ParameterError(f"'{key}' is given twice", where=f"effect '{text}'",
-                                 expected="each once")
+            raise ParameterError(f"'{key}' is given twice", where=f"effect '{text}'", expected="each once")
         try:
             if key == "joint":
                 joint = int(value)
             else:
                 values[key] = float(value)
         except ValueError:
-            raise ParameterError(f"{key}={value}", where=f"effect '{text}'",
-                                 expected="joint=1, 2 or 3" if key == "joint" else "a number"
-                                 ) from None
+            raise ParameterError(
+                f"{key}={value}", where=f"effect '{text}'", expected="joint=1, 2 or 3" if key == "joint" else "a number"
+            ) from None
     return Effect(KINDS[name], joint, values)
 
 
@@ -81,8 +122,9 @@ def check_distinct(effects: Iterable[Effect]) -> None:
         key = (effect.kind.name, effect.joint)
         if key in seen:
             place = "the arm" if effect.joint is None else f"joint {effect.joint}"
-            raise ParameterError(f"effect {effect.kind.name} stands twice on {place}",
-                                 expected="each kind once a joint")
+            raise ParameterError(
+                f"effect {effect.kind.name} stands twice on {place}", expected="each kind once a joint"
+            )
         seen.add(key)
 
 
@@ -93,7 +135,7 @@ def pack(effects: Iterable[Effect]) -> list[float]:
         joints = (0, 1, 2) if effect.joint is None else (effect.joint - 1,)
         for j in joints:
             at = j * WIDTH + slot(effect.kind)
-            table[at:at + len(effect.values)] = effect.values.values()
+            table[at : at + len(effect.values)] = effect.values.values()
     return table
 
 

@@ -7,50 +7,70 @@ from __future__ import annotations
 from math import inf
 
 from ..backend import inlined
-from .base import (ALWAYS, CURRENT, CURRENT_LIMIT, DELAYED, DROOP, VOLTAGE, Kind, Parameter)
+from .base import ALWAYS, CURRENT, CURRENT_LIMIT, DELAYED, DROOP, VOLTAGE, Kind, Parameter
 from .columns import SCREENINGS
 
 SATURATION = Kind(
-    name="voltage_saturation", acts=VOLTAGE, stage=ALWAYS,
+    name="voltage_saturation",
+    acts=VOLTAGE,
+    stage=ALWAYS,
     screening=SCREENINGS["voltage_saturation"],
     equation="V = min(max(V, -Vs), Vs)",
     sentence="The amplifier gives no more than its supply.",
-    parameters=(Parameter("voltage", "V", 0.1, 1000.0, "Vs", neutral=inf, default=40.0),))
+    parameters=(Parameter("voltage", "V", 0.1, 1000.0, "Vs", neutral=inf, default=40.0),),
+)
 
 CURRENT_LIMITER = Kind(
-    name="current_limit", acts=CURRENT, stage=CURRENT_LIMIT,
+    name="current_limit",
+    acts=CURRENT,
+    stage=CURRENT_LIMIT,
     screening=SCREENINGS["current_limit"],
     equation="di/dt = 0 where |i| = imax and the voltage would drive it further",
     sentence="The amplifier holds the motor's current at its limit, and the voltage drops.",
-    parameters=(Parameter("current", "A", 0.01, 1000.0, "imax", neutral=inf),))
+    parameters=(Parameter("current", "A", 0.01, 1000.0, "imax", neutral=inf),),
+)
 
 DEAD_BAND = Kind(
-    name="voltage_dead_band", acts=VOLTAGE, stage=ALWAYS,
+    name="voltage_dead_band",
+    acts=VOLTAGE,
+    stage=ALWAYS,
     screening=SCREENINGS["voltage_dead_band"],
     equation="V = V - min(max(V, -d), d)",
     sentence="The amplifier lets nothing through until the voltage asked for exceeds a threshold.",
-    parameters=(Parameter("voltage", "V", 0.0, 100.0, "d, half width of the band"),))
+    parameters=(Parameter("voltage", "V", 0.0, 100.0, "d, half width of the band"),),
+)
 
 OFFSET = Kind(
-    name="voltage_offset", acts=VOLTAGE, stage=ALWAYS,
+    name="voltage_offset",
+    acts=VOLTAGE,
+    stage=ALWAYS,
     screening=SCREENINGS["voltage_offset"],
     equation="V = V - c",
     sentence="The amplifier gives a constant voltage too little, or too much.",
-    parameters=(Parameter("voltage", "V", -100.0, 100.0, "c, what is missing at the motor"),))
+    parameters=(Parameter("voltage", "V", -100.0, 100.0, "c, what is missing at the motor"),),
+)
 
 SUPPLY = Kind(
-    name="supply_droop", acts=VOLTAGE, stage=DROOP, per_joint=False,
+    name="supply_droop",
+    acts=VOLTAGE,
+    stage=DROOP,
+    per_joint=False,
     screening=SCREENINGS["supply_droop"],
     equation="V = V max(1 - c sum |i|, 0), of all joints",
     sentence="The common supply gives way under the currents of all motors together.",
-    parameters=(Parameter("coefficient", "1/A", 0.0, 1.0, "c, share of the voltage lost"),))
+    parameters=(Parameter("coefficient", "1/A", 0.0, 1.0, "c, share of the voltage lost"),),
+)
 
 INPUT_DELAY = Kind(
-    name="input_delay", acts=VOLTAGE, stage=DELAYED, per_joint=False,
+    name="input_delay",
+    acts=VOLTAGE,
+    stage=DELAYED,
+    per_joint=False,
     screening=SCREENINGS["input_delay"],
     equation="V(t) = V asked for at t - T",
     sentence="Every voltage reaches its motor later than the log says.",
-    parameters=(Parameter("time", "s", 0.0, 1.0, "T"),))
+    parameters=(Parameter("time", "s", 0.0, 1.0, "T"),),
+)
 
 KINDS = (SATURATION, CURRENT_LIMITER, DEAD_BAND, OFFSET, SUPPLY, INPUT_DELAY)
 

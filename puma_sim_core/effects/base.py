@@ -25,7 +25,13 @@ if TYPE_CHECKING:
 
 #: where an effect acts
 VOLTAGE, CURRENT, TORQUE, TRANSMISSION, LOAD, SENSING = (
-    "voltage", "current", "torque", "transmission", "load", "sensing")
+    "voltage",
+    "current",
+    "torque",
+    "transmission",
+    "load",
+    "sensing",
+)
 
 #: stages of the kernel that cost nothing while no effect of the plant needs them (a bit mask)
 SMOOTH, DRY, VARYING, BRISTLE, CURRENT_LIMIT = 1, 2, 4, 8, 16
@@ -118,44 +124,45 @@ class Effect:
 
     def __post_init__(self):
         where = f"effect {self.kind.name}"
-        if self.kind.per_joint and (isinstance(self.joint, bool) or
-                                    not isinstance(self.joint, int) or not 1 <= self.joint <= 3):
+        if self.kind.per_joint and (
+            isinstance(self.joint, bool) or not isinstance(self.joint, int) or not 1 <= self.joint <= 3
+        ):
             raise ParameterError(f"joint {self.joint}", where=where, expected="joint=1, 2 or 3")
         if not self.kind.per_joint and self.joint is not None:
-            raise ParameterError(f"joint {self.joint}", where=where,
-                                 expected="no joint: it acts on the whole arm")
+            raise ParameterError(f"joint {self.joint}", where=where, expected="no joint: it acts on the whole arm")
         known = {p.name: p for p in self.kind.parameters}
         for name in self.values:
             if name not in known:
-                raise ParameterError(f"unknown parameter '{name}'", where=where,
-                                     expected=f"one of {', '.join(known)}")
+                raise ParameterError(f"unknown parameter '{name}'", where=where, expected=f"one of {', '.join(known)}")
         complete = {}
         for p in self.kind.parameters:
             value = self.values.get(p.name, p.default)
             if value is None and p.from_arm is not None:
                 continue
             if value is None:
-                raise ParameterError(f"'{p.name}' is missing", where=where,
-                                     expected=f"{p.name}=VALUE in {p.unit} ({p.meaning})")
+                raise ParameterError(
+                    f"'{p.name}' is missing", where=where, expected=f"{p.name}=VALUE in {p.unit} ({p.meaning})"
+                )
             if isinstance(value, bool) or not isinstance(value, (int, float)):
-                raise ParameterError(f"{p.name}={value!r}", where=where,
-                                     expected=f"a number in {p.unit}")
+                raise ParameterError(f"{p.name}={value!r}", where=where, expected=f"a number in {p.unit}")
             value = float(value)
             if not isfinite(value) or not p.low <= value <= p.high:
-                raise ParameterError(f"{p.name}={value:g}", where=where,
-                                     expected=f"{p.low:g} to {p.high:g} {p.unit}")
+                raise ParameterError(f"{p.name}={value:g}", where=where, expected=f"{p.low:g} to {p.high:g} {p.unit}")
             complete[p.name] = value
         if self.kind.check is not None and len(complete) == len(known):
             expected = self.kind.check(complete)
             if expected:
-                raise ParameterError(", ".join(f"{k}={v:g}" for k, v in complete.items()),
-                                     where=where, expected=expected)
+                raise ParameterError(
+                    ", ".join(f"{k}={v:g}" for k, v in complete.items()), where=where, expected=expected
+                )
         object.__setattr__(self, "values", complete)
 
     def on(self, arm: ArmParameters) -> Effect:
         """The effect with the values that it takes from its arm filled in."""
-        filled = {p.name: self.values[p.name] if p.name in self.values
-                  else p.from_arm(arm, self.joint) for p in self.kind.parameters}
+        filled = {
+            p.name: self.values[p.name] if p.name in self.values else p.from_arm(arm, self.joint)
+            for p in self.kind.parameters
+        }
         return Effect(self.kind, self.joint, filled)
 
     def __hash__(self):

@@ -21,85 +21,135 @@ _NEGLIGIBLE_EXPONENT = 40.0
 _LEAST_SHARE = 0.02
 
 VISCOUS = Kind(
-    name="viscous_friction", acts=TORQUE, stage=ALWAYS,
+    name="viscous_friction",
+    acts=TORQUE,
+    stage=ALWAYS,
     equation="tau = H qd",
     sentence="Friction that grows with the speed; in voltage it cannot be told from back-EMF.",
-    parameters=(Parameter("coefficient", "N.m.s/rad", 0.0, 500.0, "H, at the joint"),))
+    parameters=(Parameter("coefficient", "N.m.s/rad", 0.0, 500.0, "H, at the joint"),),
+)
 
 COULOMB = Kind(
-    name="coulomb_friction", acts=TORQUE, stage=DRY,
+    name="coulomb_friction",
+    acts=TORQUE,
+    stage=DRY,
     screening=SCREENINGS["coulomb_friction"],
     equation="tau = Fc sgn(qd); at rest any torque up to Fc is held",
     sentence="Dry friction of one level: a step at each reversal, and stick at rest.",
-    parameters=(Parameter("torque", "N.m", 0.0, 500.0, "Fc, at the joint"),))
+    parameters=(Parameter("torque", "N.m", 0.0, 500.0, "Fc, at the joint"),),
+)
 
 ASYMMETRIC_COULOMB = Kind(
-    name="asymmetric_coulomb_friction", acts=TORQUE, stage=DRY,
+    name="asymmetric_coulomb_friction",
+    acts=TORQUE,
+    stage=DRY,
     screening=SCREENINGS["asymmetric_coulomb_friction"],
     equation="tau = Fp for qd > 0, -Fn for qd < 0; at rest any torque from -Fn to Fp is held",
     sentence="Dry friction with a level of its own in each direction, as real PUMA drives have.",
-    parameters=(Parameter("positive", "N.m", 0.0, 500.0, "Fp, level for qd > 0"),
-                Parameter("negative", "N.m", 0.0, 500.0, "Fn, level for qd < 0, as a magnitude")))
+    parameters=(
+        Parameter("positive", "N.m", 0.0, 500.0, "Fp, level for qd > 0"),
+        Parameter("negative", "N.m", 0.0, 500.0, "Fn, level for qd < 0, as a magnitude"),
+    ),
+)
 
 STRIBECK = Kind(
-    name="stribeck_friction", acts=TORQUE, stage=DRY | VARYING,
+    name="stribeck_friction",
+    acts=TORQUE,
+    stage=DRY | VARYING,
     screening=SCREENINGS["stribeck_friction"],
     equation="tau = (Fc + Fs exp(-(qd/vs)^2)) sgn(qd), on top of other dry friction",
     sentence="The extra dry friction at very low speed that makes an arm jerk when it crawls.",
-    parameters=(Parameter("torque", "N.m", 0.0, 500.0, "Fs, excess over the sliding level"),
-                Parameter("velocity", "rad/s", 1e-4, 5.0, "vs, Stribeck velocity", neutral=1.0,
-                          default=0.05),
-                Parameter("sliding", "N.m", 0.0, 500.0, "Fc, Coulomb level under the bump",
-                          default=0.0)))
+    parameters=(
+        Parameter("torque", "N.m", 0.0, 500.0, "Fs, excess over the sliding level"),
+        Parameter("velocity", "rad/s", 1e-4, 5.0, "vs, Stribeck velocity", neutral=1.0, default=0.05),
+        Parameter("sliding", "N.m", 0.0, 500.0, "Fc, Coulomb level under the bump", default=0.0),
+    ),
+)
 
 PRESLIDING = Kind(
-    name="presliding_friction", acts=TORQUE, stage=BRISTLE,
+    name="presliding_friction",
+    acts=TORQUE,
+    stage=BRISTLE,
     screening=SCREENINGS["presliding_friction"],
     equation="tau = sigma0 z, zdot = qd - |qd| z sigma0 / level(qd)  (Dahl 1968)",
     sentence="A joint's dry friction acting through an elastic bristle: like a spring before it "
-             "slides, with a hysteresis loop at each reversal.",
-    parameters=(Parameter("stiffness", "N.m/rad", 1.0, 1e6, "sigma0", default=2e4),
-                Parameter("torque", "N.m", 0.0, 500.0,
-                          "sliding level, added to the joint's other dry friction", default=0.0)))
+    "slides, with a hysteresis loop at each reversal.",
+    parameters=(
+        Parameter("stiffness", "N.m/rad", 1.0, 1e6, "sigma0", default=2e4),
+        Parameter("torque", "N.m", 0.0, 500.0, "sliding level, added to the joint's other dry friction", default=0.0),
+    ),
+)
 
 QUADRATIC = Kind(
-    name="quadratic_friction", acts=TORQUE, stage=SMOOTH,
+    name="quadratic_friction",
+    acts=TORQUE,
+    stage=SMOOTH,
     screening=SCREENINGS["quadratic_friction"],
     equation="tau = c qd |qd|",
     sentence="Drag that grows with the square of the speed, as of churned grease or a fan.",
-    parameters=(Parameter("coefficient", "N.m.s2/rad2", 0.0, 500.0, "c, at the joint"),))
+    parameters=(Parameter("coefficient", "N.m.s2/rad2", 0.0, 500.0, "c, at the joint"),),
+)
 
 LOAD_DEPENDENT = Kind(
-    name="load_dependent_friction", acts=TORQUE, stage=DRY | POSED,
+    name="load_dependent_friction",
+    acts=TORQUE,
+    stage=DRY | POSED,
     screening=SCREENINGS["load_dependent_friction"],
     equation="tau = mu |G(q) + a (T - G(q))| sgn(qd), T = N kt i - H qd what the motor gives; at "
-             "rest any torque up to that level is held",
+    "rest any torque up to that level is held",
     sentence="Dry friction of the gears that grows with the load they carry: the weight of the "
-             "pose (a = 0), the torque that they transmit (a = 1), or a mean of the two.",
-    parameters=(Parameter("coefficient", "1", 0.0, 1.0, "mu, of the load"),
-                Parameter("transmitted", "1", 0.0, 1.0,
-                          "a, share of the motor's torque in the load, of gravity's the rest",
-                          default=0.0)))
+    "pose (a = 0), the torque that they transmit (a = 1), or a mean of the two.",
+    parameters=(
+        Parameter("coefficient", "1", 0.0, 1.0, "mu, of the load"),
+        Parameter(
+            "transmitted",
+            "1",
+            0.0,
+            1.0,
+            "a, share of the motor's torque in the load, of gravity's the rest",
+            default=0.0,
+        ),
+    ),
+)
 
 POSITION_DEPENDENT = Kind(
-    name="position_dependent_friction", acts=TORQUE, stage=DRY | POSED,
+    name="position_dependent_friction",
+    acts=TORQUE,
+    stage=DRY | POSED,
     screening=SCREENINGS["position_dependent_friction"],
     equation="tau = max(F0 + F1 cos(q - f), 0) sgn(qd); at rest any torque up to it is held",
     sentence="Dry friction that is greater in one part of the joint's range than in another.",
-    parameters=(Parameter("torque", "N.m", 0.0, 500.0, "F0, mean level"),
-                Parameter("amplitude", "N.m", 0.0, 500.0, "F1, by which it varies"),
-                Parameter("angle", "rad", -10.0, 10.0, "f, where it is greatest", default=0.0)))
+    parameters=(
+        Parameter("torque", "N.m", 0.0, 500.0, "F0, mean level"),
+        Parameter("amplitude", "N.m", 0.0, 500.0, "F1, by which it varies"),
+        Parameter("angle", "rad", -10.0, 10.0, "f, where it is greatest", default=0.0),
+    ),
+)
 
 WARM_UP = Kind(
-    name="friction_warm_up", acts=TORQUE, stage=TIMED,
+    name="friction_warm_up",
+    acts=TORQUE,
+    stage=TIMED,
     screening=SCREENINGS["friction_warm_up"],
     equation="H(t) = H (1 - share (1 - exp(-t/T))), H of viscous_friction",
     sentence="The joint's viscous friction falls as its grease gets warm; at time 0 it is cold.",
-    parameters=(Parameter("share", "1", 0.0, 1.0, "part of H that is lost in the end"),
-                Parameter("time_constant", "s", 0.01, 1e5, "T", neutral=1.0)))
+    parameters=(
+        Parameter("share", "1", 0.0, 1.0, "part of H that is lost in the end"),
+        Parameter("time_constant", "s", 0.01, 1e5, "T", neutral=1.0),
+    ),
+)
 
-KINDS = (VISCOUS, COULOMB, ASYMMETRIC_COULOMB, STRIBECK, PRESLIDING, QUADRATIC, LOAD_DEPENDENT,
-         POSITION_DEPENDENT, WARM_UP)
+KINDS = (
+    VISCOUS,
+    COULOMB,
+    ASYMMETRIC_COULOMB,
+    STRIBECK,
+    PRESLIDING,
+    QUADRATIC,
+    LOAD_DEPENDENT,
+    POSITION_DEPENDENT,
+    WARM_UP,
+)
 
 
 @inlined

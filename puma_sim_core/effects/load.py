@@ -30,22 +30,30 @@ def attach_payload(arm: ArmParameters, values: dict[str, float]) -> ArmParameter
     mass = float(pseudo[3, 3])
     xx, yy, zz = (float(pseudo[n, n]) / mass for n in range(3))
     loaded = replace(
-        link, mass=mass, centre=tuple(float(c) for c in pseudo[:3, 3] / mass),
+        link,
+        mass=mass,
+        centre=tuple(float(c) for c in pseudo[:3, 3] / mass),
         gyration_squared=(yy + zz, xx + zz, xx + yy),
-        products=tuple(float(pseudo[a, b]) / mass for a, b in ((0, 1), (1, 2), (0, 2))))
+        products=tuple(float(pseudo[a, b]) / mass for a, b in ((0, 1), (1, 2), (0, 2))),
+    )
     return replace(arm, links=(arm.links[0], arm.links[1], loaded))
 
 
 PAYLOAD = Kind(
-    name="payload", acts=LOAD, stage=ALWAYS,
+    name="payload",
+    acts=LOAD,
+    stage=ALWAYS,
     screening=SCREENINGS["payload"],
     equation="point mass m at (x, y, z) in the frame of link 3",
     sentence="A load at the tip: it adds inertia and weight to all joints in fixed ratios.",
-    parameters=(Parameter("mass", "kg", 0.0, 50.0, "m"),
-                Parameter("x", "m", -2.0, 2.0, "along x3", default=0.0),
-                Parameter("y", "m", -2.0, 2.0, "along y3, the axis of joint 3", default=0.0),
-                Parameter("z", "m", -2.0, 2.0, "along the forearm, where the wrist is",
-                          from_arm=lambda arm, joint: arm.d4)),
-    per_joint=False, load=attach_payload)
+    parameters=(
+        Parameter("mass", "kg", 0.0, 50.0, "m"),
+        Parameter("x", "m", -2.0, 2.0, "along x3", default=0.0),
+        Parameter("y", "m", -2.0, 2.0, "along y3, the axis of joint 3", default=0.0),
+        Parameter("z", "m", -2.0, 2.0, "along the forearm, where the wrist is", from_arm=lambda arm, joint: arm.d4),
+    ),
+    per_joint=False,
+    load=attach_payload,
+)
 
 KINDS = (PAYLOAD,)

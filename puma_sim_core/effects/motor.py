@@ -11,25 +11,40 @@ from .base import CURRENT, SMOOTH, TIMED, TORQUE, Kind, Parameter
 from .columns import SCREENINGS
 
 RIPPLE = Kind(
-    name="torque_ripple", acts=TORQUE, stage=SMOOTH,
+    name="torque_ripple",
+    acts=TORQUE,
+    stage=SMOOTH,
     screening=SCREENINGS["torque_ripple"],
     equation="tau = A sin(n N q + f)",
     sentence="Torque that comes back with each turn of the motor: cogging, or ripple of its poles.",
-    parameters=(Parameter("amplitude", "N.m", 0.0, 500.0, "A, at the joint"),
-                Parameter("order", "1", 0.01, 1000.0, "n, periods a turn of the motor",
-                          neutral=1.0),
-                Parameter("phase", "rad", -10.0, 10.0, "f", default=0.0),
-                Parameter("ratio", "1", -1000.0, 1000.0, "N, motor turns a joint turn",
-                          neutral=1.0,
-                          from_arm=lambda arm, joint: float(arm.motors[joint - 1].gear_ratio))))
+    parameters=(
+        Parameter("amplitude", "N.m", 0.0, 500.0, "A, at the joint"),
+        Parameter("order", "1", 0.01, 1000.0, "n, periods a turn of the motor", neutral=1.0),
+        Parameter("phase", "rad", -10.0, 10.0, "f", default=0.0),
+        Parameter(
+            "ratio",
+            "1",
+            -1000.0,
+            1000.0,
+            "N, motor turns a joint turn",
+            neutral=1.0,
+            from_arm=lambda arm, joint: float(arm.motors[joint - 1].gear_ratio),
+        ),
+    ),
+)
 
 DRIFT = Kind(
-    name="resistance_drift", acts=CURRENT, stage=TIMED,
+    name="resistance_drift",
+    acts=CURRENT,
+    stage=TIMED,
     screening=SCREENINGS["resistance_drift"],
     equation="R(t) = R (1 + share (1 - exp(-t/T)))",
     sentence="The winding's resistance grows as the motor gets warm; at time 0 it is cold.",
-    parameters=(Parameter("share", "1", 0.0, 3.0, "growth of R in the end"),
-                Parameter("time_constant", "s", 0.01, 1e5, "T", neutral=1.0)))
+    parameters=(
+        Parameter("share", "1", 0.0, 3.0, "growth of R in the end"),
+        Parameter("time_constant", "s", 0.01, 1e5, "T", neutral=1.0),
+    ),
+)
 
 KINDS = (RIPPLE, DRIFT)
 

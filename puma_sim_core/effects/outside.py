@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from math import cos, hypot, pi, sin
+from math import hypot, pi, sin
 from typing import TYPE_CHECKING
 
 from ..backend import inlined
@@ -15,31 +15,45 @@ if TYPE_CHECKING:
     from ..parameters import ArmParameters
 
 SPRING = Kind(
-    name="joint_spring", acts=TORQUE, stage=SMOOTH,
+    name="joint_spring",
+    acts=TORQUE,
+    stage=SMOOTH,
     screening=SCREENINGS["joint_spring"],
     equation="tau = Ks (q - q0)",
     sentence="A spring across the joint: a balance spring, or a cable that is bent.",
-    parameters=(Parameter("stiffness", "N.m/rad", 0.0, 1e5, "Ks"),
-                Parameter("angle", "rad", -10.0, 10.0, "q0, where it is slack", default=0.0)))
+    parameters=(
+        Parameter("stiffness", "N.m/rad", 0.0, 1e5, "Ks"),
+        Parameter("angle", "rad", -10.0, 10.0, "q0, where it is slack", default=0.0),
+    ),
+)
 
 BASE_TILT = Kind(
-    name="base_tilt", acts=TORQUE, stage=TILT, per_joint=False,
+    name="base_tilt",
+    acts=TORQUE,
+    stage=TILT,
+    per_joint=False,
     screening=SCREENINGS["base_tilt"],
     equation="gravity g (x sin(t)/t, y sin(t)/t, -cos(t)) in the base frame, t^2 = x^2 + y^2",
     sentence="The base does not stand upright, so that the weight of the arm turns joint 1 too.",
-    parameters=(Parameter("x", "rad", -1.5, 1.5, "lean of the base towards its x axis",
-                          default=0.0),
-                Parameter("y", "rad", -1.5, 1.5, "lean of the base towards its y axis",
-                          default=0.0)))
+    parameters=(
+        Parameter("x", "rad", -1.5, 1.5, "lean of the base towards its x axis", default=0.0),
+        Parameter("y", "rad", -1.5, 1.5, "lean of the base towards its y axis", default=0.0),
+    ),
+)
 
 IMPULSE = Kind(
-    name="impulse", acts=TORQUE, stage=TIMED,
+    name="impulse",
+    acts=TORQUE,
+    stage=TIMED,
     screening=SCREENINGS["impulse"],
     equation="tau = -p sin(pi (t - t0 + w/2) / w)^2 while |t - t0| < w/2",
     sentence="A blow or a push of short duration that nothing in the log asks for.",
-    parameters=(Parameter("torque", "N.m", -1e4, 1e4, "p, peak, positive in +q"),
-                Parameter("time", "s", -1e6, 1e9, "t0, middle of the pulse"),
-                Parameter("width", "s", 1e-4, 100.0, "w, whole width", neutral=1.0)))
+    parameters=(
+        Parameter("torque", "N.m", -1e4, 1e4, "p, peak, positive in +q"),
+        Parameter("time", "s", -1e6, 1e9, "t0, middle of the pulse"),
+        Parameter("width", "s", 1e-4, 100.0, "w, whole width", neutral=1.0),
+    ),
+)
 
 KINDS = (SPRING, BASE_TILT, IMPULSE)
 
@@ -59,10 +73,14 @@ def tilt_constants(arm: ArmParameters, x: float, y: float) -> tuple[float, ...]:
     lean = hypot(x, y)
     share = sin(lean) / lean if lean > 0.0 else 1.0
     link1, link2, link3 = arm.links
-    beside = (link1.mass * link1.centre[2] + link2.mass * link2.centre[2]
-              + link3.mass * (arm.d3 + link3.centre[1]))
-    return (x * share, y * share, 2.0 * sin(0.5 * lean) ** 2,
-            arm.gravity * link1.mass * link1.centre[0], arm.gravity * beside)
+    beside = link1.mass * link1.centre[2] + link2.mass * link2.centre[2] + link3.mass * (arm.d3 + link3.centre[1])
+    return (
+        x * share,
+        y * share,
+        2.0 * sin(0.5 * lean) ** 2,
+        arm.gravity * link1.mass * link1.centre[0],
+        arm.gravity * beside,
+    )
 
 
 @inlined

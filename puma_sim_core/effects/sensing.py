@@ -15,29 +15,43 @@ from .base import SENSED, SENSING, Kind, Parameter
 from .columns import SCREENINGS
 
 LAG = Kind(
-    name="sensor_lag", acts=SENSING, stage=SENSED,
+    name="sensor_lag",
+    acts=SENSING,
+    stage=SENSED,
     screening=SCREENINGS["sensor_lag"],
     equation="T dm/dt = q - m, m the measured position",
     sentence="The measured position follows the true one with a lag of first order.",
-    parameters=(Parameter("time_constant", "s", 0.0, 10.0, "T"),))
+    parameters=(Parameter("time_constant", "s", 0.0, 10.0, "T"),),
+)
 
 ENCODER_OFFSET = Kind(
-    name="encoder_offset", acts=SENSING, stage=SENSED,
+    name="encoder_offset",
+    acts=SENSING,
+    stage=SENSED,
     screening=SCREENINGS["encoder_offset"],
     equation="m = q + angle",
     sentence="The sensor's zero is not the model's: gravity is felt at other angles than it says.",
-    parameters=(Parameter("angle", "rad", -10.0, 10.0, "measured less true position"),))
+    parameters=(Parameter("angle", "rad", -10.0, 10.0, "measured less true position"),),
+)
 
 NONLINEARITY = Kind(
-    name="sensor_nonlinearity", acts=SENSING, stage=SENSED,
+    name="sensor_nonlinearity",
+    acts=SENSING,
+    stage=SENSED,
     screening=SCREENINGS["sensor_nonlinearity"],
     equation="m = q + a sin(2 pi q / period + phase)",
     sentence="The sensor is not straight: the same place is always measured wrong by the same.",
-    parameters=(Parameter("amplitude", "rad", 0.0, 1.0, "a"),
-                Parameter("period", "rad", 1e-4, 100.0, "of the error in q", neutral=1.0),
-                Parameter("phase", "rad", -10.0, 10.0, "at q = 0", default=0.0)),
-    check=lambda values: None if values["amplitude"] * 2.0 * pi < values["period"] else
-    "amplitude below period / (2 pi): a sensor that grows with the position")
+    parameters=(
+        Parameter("amplitude", "rad", 0.0, 1.0, "a"),
+        Parameter("period", "rad", 1e-4, 100.0, "of the error in q", neutral=1.0),
+        Parameter("phase", "rad", -10.0, 10.0, "at q = 0", default=0.0),
+    ),
+    check=lambda values: (
+        None
+        if values["amplitude"] * 2.0 * pi < values["period"]
+        else "amplitude below period / (2 pi): a sensor that grows with the position"
+    ),
+)
 
 KINDS = (LAG, ENCODER_OFFSET, NONLINEARITY)
 

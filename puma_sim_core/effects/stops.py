@@ -11,17 +11,36 @@ from .base import SMOOTH, TORQUE, Kind, Parameter
 from .columns import SCREENINGS
 
 SOFT_STOP = Kind(
-    name="soft_stop", acts=TORQUE, stage=SMOOTH,
+    name="soft_stop",
+    acts=TORQUE,
+    stage=SMOOTH,
     screening=SCREENINGS["soft_stop"],
     equation="tau = K d + B qd while d = q - upper > 0 or d = q - lower < 0; never pulls back",
     sentence="A stiff stop at each end of the joint's range, or where it is put.",
-    parameters=(Parameter("lower", "rad", -10.0, 10.0, "where the lower stop begins",
-                          neutral=-inf, from_arm=lambda arm, joint: arm.joint_ranges[joint - 1][0]),
-                Parameter("upper", "rad", -10.0, 10.0, "where the upper stop begins",
-                          neutral=inf, from_arm=lambda arm, joint: arm.joint_ranges[joint - 1][1]),
-                Parameter("stiffness", "N.m/rad", 0.0, 1e6, "K", default=1e4),
-                Parameter("damping", "N.m.s/rad", 0.0, 1000.0, "B", default=100.0)),
-    check=lambda values: None if values["lower"] < values["upper"] else "lower below upper")
+    parameters=(
+        Parameter(
+            "lower",
+            "rad",
+            -10.0,
+            10.0,
+            "where the lower stop begins",
+            neutral=-inf,
+            from_arm=lambda arm, joint: arm.joint_ranges[joint - 1][0],
+        ),
+        Parameter(
+            "upper",
+            "rad",
+            -10.0,
+            10.0,
+            "where the upper stop begins",
+            neutral=inf,
+            from_arm=lambda arm, joint: arm.joint_ranges[joint - 1][1],
+        ),
+        Parameter("stiffness", "N.m/rad", 0.0, 1e6, "K", default=1e4),
+        Parameter("damping", "N.m.s/rad", 0.0, 1000.0, "B", default=100.0),
+    ),
+    check=lambda values: None if values["lower"] < values["upper"] else "lower below upper",
+)
 
 KINDS = (SOFT_STOP,)
 

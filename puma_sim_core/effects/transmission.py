@@ -17,44 +17,61 @@ from ..backend import inlined
 from .base import TRANSMISSION, TWO_MASS, Kind, Parameter
 from .columns import SCREENINGS
 
-_MOTOR_SHARE = Parameter("motor_share", "1", 0.05, 1.0,
-                         "part of Ia that turns with the rotor, the rest turns with the link",
-                         neutral=1.0, default=0.7)
+_MOTOR_SHARE = Parameter(
+    "motor_share",
+    "1",
+    0.05,
+    1.0,
+    "part of Ia that turns with the rotor, the rest turns with the link",
+    neutral=1.0,
+    default=0.7,
+)
 
 ELASTICITY = Kind(
-    name="joint_elasticity", acts=TRANSMISSION, stage=TWO_MASS,
+    name="joint_elasticity",
+    acts=TRANSMISSION,
+    stage=TWO_MASS,
     screening=SCREENINGS["joint_elasticity"],
     equation="tau = K (qm - ql) + B (qdm - qdl), motor_share Ia qddm = kT i - H qdm - tau",
     sentence="A drive that twists: the link swings against the rotor, with a resonance and, in "
-             "the motor's position, an antiresonance.",
-    parameters=(Parameter("stiffness", "N.m/rad", 10.0, 1e7, "K, at the joint"),
-                Parameter("damping", "N.m.s/rad", 0.0, 1000.0, "B, at the joint", default=5.0),
-                _MOTOR_SHARE))
+    "the motor's position, an antiresonance.",
+    parameters=(
+        Parameter("stiffness", "N.m/rad", 10.0, 1e7, "K, at the joint"),
+        Parameter("damping", "N.m.s/rad", 0.0, 1000.0, "B, at the joint", default=5.0),
+        _MOTOR_SHARE,
+    ),
+)
 
 BACKLASH = Kind(
-    name="backlash", acts=TRANSMISSION, stage=TWO_MASS,
+    name="backlash",
+    acts=TRANSMISSION,
+    stage=TWO_MASS,
     screening=SCREENINGS["backlash"],
     equation="d = qm - ql; tau = max(K (d - g/2) + B dd, 0) for d > g/2, "
-             "min(K (d + g/2) + B dd, 0) for d < -g/2, else 0",
-    sentence="Play between the teeth: the link is free while they change flanks, and a short "
-             "knock ends it.",
-    parameters=(Parameter("gap", "rad", 0.0, 0.2, "g, the whole play at the joint"),
-                Parameter("stiffness", "N.m/rad", 100.0, 1e7, "K of the teeth in contact",
-                          default=2e5),
-                Parameter("damping", "N.m.s/rad", 0.0, 1000.0, "B of the teeth in contact",
-                          default=100.0),
-                _MOTOR_SHARE))
+    "min(K (d + g/2) + B dd, 0) for d < -g/2, else 0",
+    sentence="Play between the teeth: the link is free while they change flanks, and a short knock ends it.",
+    parameters=(
+        Parameter("gap", "rad", 0.0, 0.2, "g, the whole play at the joint"),
+        Parameter("stiffness", "N.m/rad", 100.0, 1e7, "K of the teeth in contact", default=2e5),
+        Parameter("damping", "N.m.s/rad", 0.0, 1000.0, "B of the teeth in contact", default=100.0),
+        _MOTOR_SHARE,
+    ),
+)
 
 TRANSMISSION_ERROR = Kind(
-    name="transmission_error", acts=TRANSMISSION, stage=TWO_MASS,
+    name="transmission_error",
+    acts=TRANSMISSION,
+    stage=TWO_MASS,
     screening=SCREENINGS["transmission_error"],
     equation="ql = qm + e sin(n qm + f)",
     sentence="A gear that is not round: the link leads and trails the motor as it turns, and the "
-             "arm's inertia and weight push back through it.",
-    parameters=(Parameter("amplitude", "rad", 0.0, 0.05, "e"),
-                Parameter("order", "1", 0.0, 1000.0, "n, periods in a turn of the joint",
-                          default=1.0),
-                Parameter("phase", "rad", -10.0, 10.0, "f", default=0.0)))
+    "arm's inertia and weight push back through it.",
+    parameters=(
+        Parameter("amplitude", "rad", 0.0, 0.05, "e"),
+        Parameter("order", "1", 0.0, 1000.0, "n, periods in a turn of the joint", default=1.0),
+        Parameter("phase", "rad", -10.0, 10.0, "f", default=0.0),
+    ),
+)
 
 KINDS = (ELASTICITY, BACKLASH, TRANSMISSION_ERROR)
 
@@ -69,8 +86,8 @@ def in_series(springs: list[tuple[float, float]]) -> tuple[float, float]:
     if len(springs) == 1:
         return springs[0]
     compliance = sum(1.0 / stiffness for stiffness, _ in springs)
-    loss = sum(damping / stiffness ** 2 for stiffness, damping in springs)
-    return 1.0 / compliance, loss / compliance ** 2
+    loss = sum(damping / stiffness**2 for stiffness, damping in springs)
+    return 1.0 / compliance, loss / compliance**2
 
 
 @inlined

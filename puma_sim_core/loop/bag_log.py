@@ -34,8 +34,7 @@ def read_bag_log(path: str | os.PathLike, joints: int) -> Log:
     """
     bag = read_bag(path)
     if len(bag.joint_names) != joints:
-        raise BagError(f"{len(bag.joint_names)} joints", where=path,
-                       expected=f"{joints}, as the plant has")
+        raise BagError(f"{len(bag.joint_names)} joints", where=path, expected=f"{joints}, as the plant has")
     rules = parse_yaml(bag.config_text, f"{path}: topic sim_node/model", BagError)
     if not isinstance(rules, Mapping):
         raise BagError("no session", where=f"{path}: topic sim_node/model", expected="a mapping")
@@ -46,14 +45,21 @@ def read_bag_log(path: str | os.PathLike, joints: int) -> Log:
         samples = int(rules.get("substeps", 1))
         if samples > 1:
             raise RecordingError(
-                f"the servo took {samples} samples in each period, of which the bag has the "
-                "voltage of the last alone", where=str(path),
-                expected="a session with command_interface voltage, or with substeps 1 "
-                         "(and a period such as 0.001)")
+                f"the servo took {samples} samples in each period, of which the bag has the voltage of the last alone",
+                where=str(path),
+                expected="a session with command_interface voltage, or with substeps 1 (and a period such as 0.001)",
+            )
         voltage = np.concatenate([bag.voltage[1:], bag.voltage[-1:]])
         notes.append("Voltages are those at the motors: the session commanded positions.")
-    return Log(name=str(path), time=bag.time_ns * 1e-9, voltage=voltage, position=bag.position,
-               velocity=bag.velocity, current=bag.current, notes=tuple(notes))
+    return Log(
+        name=str(path),
+        time=bag.time_ns * 1e-9,
+        voltage=voltage,
+        position=bag.position,
+        velocity=bag.velocity,
+        current=bag.current,
+        notes=tuple(notes),
+    )
 
 
 def _commanded(bag: BagContents, rules: Mapping) -> np.ndarray:

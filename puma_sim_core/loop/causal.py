@@ -19,7 +19,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from ..effects.screening import TORQUE_COLUMN, Candidate, Signals
 from .evidence import Entry, log_gain, scored_of
-from .prediction import PredictionFit, Point
+from .prediction import Point, PredictionFit
 
 #: length of a block [s]
 _BLOCK = 6e-3
@@ -32,8 +32,7 @@ class CausalScreen:
     (N', p): their derivatives by the parameters, at the rows to fit, per deviation.
     """
 
-    def __init__(self, fit: PredictionFit, point: Point, errors: np.ndarray, jacobian: np.ndarray,
-                 problem):
+    def __init__(self, fit: PredictionFit, point: Point, errors: np.ndarray, jacobian: np.ndarray, problem):
         self.fit = fit
         self.predictor = fit.predictor
         self.point = point
@@ -44,21 +43,20 @@ class CausalScreen:
         rows = fit.rows
         self.J = errors.shape[1]
         self.lengths = self.predictor.lengths
-        self.usable = [self._mean(rows[:, j].astype(float)[:, None])[:, 0] > 0.999
-                       for j in range(self.J)]
-        self.y = [self._blocks(errors[:, j:j + 1], j)[:, 0] for j in range(self.J)]
+        self.usable = [self._mean(rows[:, j].astype(float)[:, None])[:, 0] > 0.999 for j in range(self.J)]
+        self.y = [self._blocks(errors[:, j : j + 1], j)[:, 0] for j in range(self.J)]
         p = jacobian.shape[1]
         self.jacobian = np.zeros((*errors.shape, p))
         self.jacobian[rows] = jacobian
         self.N = [self._blocks(self.jacobian[:, j], j) for j in range(self.J)]
         prior = np.full(p, 1e-4)
-        prior[:len(fit.mechanism.start)] = 1.0
+        prior[: len(fit.mechanism.start)] = 1.0
         A = np.diag(prior) + sum(N.T @ N for N in self.N)
         self.factor = cho_factor(A, lower=True)
         # the gradient of the prior: the fit need not have come to its very end
         m = fit.mechanism
         pull = np.zeros(p)
-        pull[:len(m.start)] = (point.theta - m.start) / m.deviations
+        pull[: len(m.start)] = (point.theta - m.start) / m.deviations
         self.Ny = sum(N.T @ y for N, y in zip(self.N, self.y)) + pull
         self.scaled = cho_solve(self.factor, self.Ny)
         self.signals = self._signals(point)
@@ -68,7 +66,7 @@ class CausalScreen:
         parts, start = [], 0
         for n in self.lengths:
             k = n // self.block
-            part = values[start:start + k * self.block]
+            part = values[start : start + k * self.block]
             parts.append(part.reshape(k, self.block, *values.shape[1:]).mean(axis=1))
             start += n
         return np.concatenate(parts)
@@ -94,9 +92,19 @@ class CausalScreen:
             time.append(s.time[1:])
             segment.append(np.full(len(s.time) - 1, number))
             enable.append(np.ones_like(s.voltage[:-1]) if s.enable is None else s.enable[:-1])
-        return self.problem.signals(point.theta, motion=(
-            np.concatenate(time), self.predictor.step, np.concatenate(segment),
-            np.concatenate(volts), np.concatenate(enable), q, qd, np.concatenate(qdd)))
+        return self.problem.signals(
+            point.theta,
+            motion=(
+                np.concatenate(time),
+                self.predictor.step,
+                np.concatenate(segment),
+                np.concatenate(volts),
+                np.concatenate(enable),
+                q,
+                qd,
+                np.concatenate(qdd),
+            ),
+        )
 
     def columns(self, candidate: Candidate) -> dict[int, np.ndarray]:
         """Joint -> (b, p) white innovations that unit coefficients would make, in blocks."""
@@ -105,10 +113,8 @@ class CausalScreen:
     def left(self, candidate: Candidate | None = None, coefficients=None) -> np.ndarray:
         """(N, J) white innovations at the rows to fit, 0 elsewhere, that a hypothesis leaves when
         the parameters have answered to it; None: that the parameters alone leave."""
-        made = {} if candidate is None else {j: x @ coefficients
-                                             for j, x in self._white(candidate).items()}
-        pulled = self.Ny - sum(self.N[j].T @ self._blocks(x[:, None], j)[:, 0]
-                               for j, x in made.items())
+        made = {} if candidate is None else {j: x @ coefficients for j, x in self._white(candidate).items()}
+        pulled = self.Ny - sum(self.N[j].T @ self._blocks(x[:, None], j)[:, 0] for j, x in made.items())
         left = self.errors - self.jacobian @ cho_solve(self.factor, pulled)
         for j, x in made.items():
             left[:, j] -= x
@@ -138,7 +144,7 @@ class CausalScreen:
                 full *= s.volts_per_torque[j]
                 if s.lag[j] > 0.0:
                     full = full + s.lag[j] * np.gradient(full, s.step, axis=0)
-            full *= s.enable[:, j:j + 1]
+            full *= s.enable[:, j : j + 1]
             start = 0
             for n in self.lengths:
                 rows = slice(start, start + n)

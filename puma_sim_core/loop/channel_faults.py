@@ -50,17 +50,24 @@ _ROWS = 300
 _SCALES = (0.33, 0.4, 0.5, 0.57, 0.65, 0.7, 1.4, 1.5, 1.7, 2.0, 2.4, 3.0)
 #: and those that only a voltage of which this share is left over is asked for
 _FAR_SCALES, _FAR_ASKED = (0.2, 0.25, 4.0, 5.0), 0.3
-_OFFSETS = tuple(sign * size for size in (0.15, 0.2, 0.3, 0.4, 0.55, 0.8, 1.1, np.pi / 2.0, np.pi)
-                 for sign in (1.0, -1.0))
+_OFFSETS = tuple(
+    sign * size for size in (0.15, 0.2, 0.3, 0.4, 0.55, 0.8, 1.1, np.pi / 2.0, np.pi) for sign in (1.0, -1.0)
+)
 #: voltages that can be millivolts or counts, and kilovolts, in those of a middling friction
 _GREAT, _SMALL = 60.0, 1.0
 #: factors of units: what the numbers are in, and by what they must be multiplied
-_POSITION_UNITS = (("degrees, not radians", np.pi / 180.0),
-                   ("thousandths of the unit", 1e-3), ("a unit a thousand times as large", 1e3),
-                   ("turns, not radians", 2.0 * np.pi),
-                   ("angles of the motor: the gear ratio is left out", None))
-_VOLTAGE_UNITS = (("millivolts, not volts", 1e-3), ("kilovolts, not volts", 1e3),
-                  ("raw counts, not volts", 40.0 / 2048.0))
+_POSITION_UNITS = (
+    ("degrees, not radians", np.pi / 180.0),
+    ("thousandths of the unit", 1e-3),
+    ("a unit a thousand times as large", 1e3),
+    ("turns, not radians", 2.0 * np.pi),
+    ("angles of the motor: the gear ratio is left out", None),
+)
+_VOLTAGE_UNITS = (
+    ("millivolts, not volts", 1e-3),
+    ("kilovolts, not volts", 1e3),
+    ("raw counts, not volts", 40.0 / 2048.0),
+)
 
 
 @dataclass(frozen=True)
@@ -106,16 +113,27 @@ def unexplained(model: Plausibility, c: Coarse) -> list[Fault]:
     fits = model.fits(c)
     shares = model.shares(fits, _ANOTHER_FLOOR)
     for j in np.flatnonzero(shares >= _ANOTHER):
-        rest = (f"; expected a log of {model.mechanism.name}, with channels in the order and units "
-                "of the format")
+        rest = f"; expected a log of {model.mechanism.name}, with channels in the order and units of the format"
         if not fits[j].rows:
-            found.append(Fault(f"position{j + 1}", None, "frozen: it stays within "
-                               f"{np.ptp(c.position[:, j]):.2g} while its voltage must move it; "
-                               "expected a motion, or a voltage that friction can hold"))
+            found.append(
+                Fault(
+                    f"position{j + 1}",
+                    None,
+                    "frozen: it stays within "
+                    f"{np.ptp(c.position[:, j]):.2g} while its voltage must move it; "
+                    "expected a motion, or a voltage that friction can hold",
+                )
+            )
         else:
-            found.append(Fault(f"voltage{j + 1}", None, f"{100 * min(shares[j], 1.0):.0f} % of the "
-                               f"voltage of joint {j + 1} cannot be explained by any parameters or "
-                               f"effects, nor by exchanged channels or other units{rest}"))
+            found.append(
+                Fault(
+                    f"voltage{j + 1}",
+                    None,
+                    f"{100 * min(shares[j], 1.0):.0f} % of the "
+                    f"voltage of joint {j + 1} cannot be explained by any parameters or "
+                    f"effects, nor by exchanged channels or other units{rest}",
+                )
+            )
     return found
 
 
@@ -135,19 +153,23 @@ def _best(model: Plausibility, c: Coarse) -> Way | None:
         changed = model.fits(other)
         after = model.shares(changed)
         # what hardly moves any more, or hardly has a voltage, is not explained by that
-        moved = [j for j, fit in enumerate(changed) if fit.rows and after[j] < _SHRINKS * before[j]
-                 and fit.left <= _LEFT_AT_ALL * fit.scale]
-        still = sum(changed[j].rows for j in moved) >= _STILL_MOVES * max(
-            fit.rows for fit in fits)
+        moved = [
+            j
+            for j, fit in enumerate(changed)
+            if fit.rows and after[j] < _SHRINKS * before[j] and fit.left <= _LEFT_AT_ALL * fit.scale
+        ]
+        still = sum(changed[j].rows for j in moved) >= _STILL_MOVES * max(fit.rows for fit in fits)
         if np.any(np.abs(way.change.get("volts", 1.0)) != 1.0):
-            after = np.maximum(after, _ALIKE_SHARE)     # greater volts shrink their floor
+            after = np.maximum(after, _ALIKE_SHARE)  # greater volts shrink their floor
         if still:
             tried.append((float(np.log(after / before).sum()), way))
     best = min((score for score, _ in tried), default=0.0)
     if best > np.log(_SHRINKS):
         return None
-    return min(((way.unusual, score, n, way) for n, (score, way) in enumerate(tried)
-                if score <= best + _ALIKE), key=lambda entry: entry[:3])[3]
+    return min(
+        ((way.unusual, score, n, way) for n, (score, way) in enumerate(tried) if score <= best + _ALIKE),
+        key=lambda entry: entry[:3],
+    )[3]
 
 
 def _ways(model: Plausibility, c: Coarse):
@@ -161,41 +183,65 @@ def _ways(model: Plausibility, c: Coarse):
 
     for j in range(J):
         tie = "" if J > 1 else " (or that of voltage1: with one joint they look alike)"
-        yield Way(whole("position", [j], "its sign is turned: the voltage drives the joint the "
-                        f"other way; expected positive volts for positive motion{tie}"),
-                  {"scale": only(j, -1.0)}, 0)
+        yield Way(
+            whole(
+                "position",
+                [j],
+                "its sign is turned: the voltage drives the joint the "
+                f"other way; expected positive volts for positive motion{tie}",
+            ),
+            {"scale": only(j, -1.0)},
+            0,
+        )
         if J > 1:
-            yield Way(whole("voltage", [j], "its sign is turned: it drives the joint the other "
-                            "way; expected positive volts for positive motion"),
-                      {"volts": only(j, -1.0)}, 1)
+            yield Way(
+                whole(
+                    "voltage",
+                    [j],
+                    "its sign is turned: it drives the joint the other "
+                    "way; expected positive volts for positive motion",
+                ),
+                {"volts": only(j, -1.0)},
+                1,
+            )
     for name, key in (("position", "positions"), ("voltage", "voltages")):
         for order in permutations(range(J)):
             moved = [j for j in range(J) if order[j] != j]
             if not moved:
                 continue
-            faults = tuple(Fault(f"{name}{j + 1}", None,
-                                 f"it moves as {name}{order.index(j) + 1} should: the channels are "
-                                 f"exchanged; expected {name} of joint {j + 1}") for j in moved)
+            faults = tuple(
+                Fault(
+                    f"{name}{j + 1}",
+                    None,
+                    f"it moves as {name}{order.index(j) + 1} should: the channels are "
+                    f"exchanged; expected {name} of joint {j + 1}",
+                )
+                for j in moved
+            )
             yield Way(faults, {key: order}, len(moved) - 1 + (name == "voltage"))
     for sort, (what, factor) in enumerate(_POSITION_UNITS):
         for group in _groups(J):
-            scale = np.array([(factor or 1.0 / model.mechanism.gear[j]) if j in group else 1.0
-                              for j in range(J)])
+            scale = np.array([(factor or 1.0 / model.mechanism.gear[j]) if j in group else 1.0 for j in range(J)])
             if np.all(scale == 1.0) or (unit == "m" and sort in (0, 3, 4)):
                 continue
-            yield Way(whole("position", group, f"its numbers are {what}; expected {unit}"),
-                      {"scale": scale}, 2.0 + sort + 0.1 * len(group))
+            yield Way(
+                whole("position", group, f"its numbers are {what}; expected {unit}"),
+                {"scale": scale},
+                2.0 + sort + 0.1 * len(group),
+            )
     for sort, (what, factor) in enumerate(_VOLTAGE_UNITS):
         for group in _groups(J):
             volts = np.array([factor if j in group else 1.0 for j in range(J)])
             size = [float(np.abs(c.voltage[:, j]).max()) / model.unit[j] for j in group]
             if (factor < 1.0 and min(size) < _GREAT) or (factor > 1.0 and max(size) > _SMALL):
                 continue
-            yield Way(whole("voltage", group, f"its numbers are {what}; expected V"),
-                      {"volts": volts}, 3.0 + sort + 0.1 * len(group))
+            yield Way(
+                whole("voltage", group, f"its numbers are {what}; expected V"),
+                {"volts": volts},
+                3.0 + sort + 0.1 * len(group),
+            )
     for what, factor in (("milliseconds", 1e-3), ("minutes", 60.0)):
-        yield Way((Fault("time", None, f"its numbers are {what}; expected seconds"),),
-                  {"clock": factor}, 5)
+        yield Way((Fault("time", None, f"its numbers are {what}; expected seconds"),), {"clock": factor}, 5)
 
 
 def _groups(J: int):
@@ -215,9 +261,8 @@ def _nearer(model: Plausibility, c: Coarse) -> tuple[dict, Fault] | None:
     least, best = min(before - _GAIN, _NEARER * before, _NEAR), None
     for j in range(c.joints):
         volts = model.speed[j] * c.velocity[counted[j], j]
-        if len(volts) < _MOVING_ROWS * len(c.velocity) or (
-                np.sqrt(np.mean(volts ** 2)) < _MOVING * model.unit[j]):
-            continue            # what hardly moves tells of friction alone
+        if len(volts) < _MOVING_ROWS * len(c.velocity) or (np.sqrt(np.mean(volts**2)) < _MOVING * model.unit[j]):
+            continue  # what hardly moves tells of friction alone
         for change, dearer, what in _changes(model, j, left[j]):
             cost = dearer * near.costs(c.changed(**change), counted)[0]
             if cost < least:
@@ -229,10 +274,20 @@ def _changes(model: Plausibility, j: int, left: float):
     """(change, factor of its cost, what it says) of scales and offsets of a position."""
     unit, one = model.mechanism.position_unit, np.arange(model.mechanism.joints) == j
     for size in (*_SCALES, *(_FAR_SCALES if left > _FAR_ASKED else ())):
-        yield {"scale": np.where(one, 1.0 / size, 1.0)}, 1.0, (
-            f"its scale is wrong by a factor of about {size:.2g}; expected {unit} at the joint (is "
-            "the gear ratio right?)")
+        yield (
+            {"scale": np.where(one, 1.0 / size, 1.0)},
+            1.0,
+            (
+                f"its scale is wrong by a factor of about {size:.2g}; expected {unit} at the joint (is "
+                "the gear ratio right?)"
+            ),
+        )
     for size in _OFFSETS if unit == "rad" else ():
-        yield {"offset": np.where(one, -size, 0.0)}, _SURER, (
-            f"it is offset by about {size:.2g} rad, as its weight shows; expected an encoder "
-            "offset of a few hundredths at most")
+        yield (
+            {"offset": np.where(one, -size, 0.0)},
+            _SURER,
+            (
+                f"it is offset by about {size:.2g} rad, as its weight shows; expected an encoder "
+                "offset of a few hundredths at most"
+            ),
+        )

@@ -44,42 +44,41 @@ class Noise:
     log_likelihood: float
 
 
-def weighting(predictor: Predictor, errors: np.ndarray, before: Weighting | None = None
-              ) -> Weighting:
+def weighting(predictor: Predictor, errors: np.ndarray, before: Weighting | None = None) -> Weighting:
     """The filter of each joint that makes noise with the spectrum of its innovations white.
 
     errors (N, J) : the innovations, in the weighting `before`, which is undone; only rows to fit
     are read.
     """
-    filters = np.array([noise(predictor, errors[:, j], j, before).taps
-                        for j in range(errors.shape[1])])
+    filters = np.array([noise(predictor, errors[:, j], j, before).taps for j in range(errors.shape[1])])
     return Weighting(filters, np.ones(len(filters)), predictor.lengths)
 
 
-def noise(predictor: Predictor, errors: np.ndarray, j: int, before: Weighting | None = None
-          ) -> Noise:
+def noise(predictor: Predictor, errors: np.ndarray, j: int, before: Weighting | None = None) -> Noise:
     """The noise of joint j (0-based) by innovations (N,), as `weighting`."""
     size = fft.next_fast_len(2 * int(_LONGEST / predictor.step), real=True)
     frequency = fft.rfftfreq(size, predictor.step)
     spectra = _sources(predictor, j, frequency)
-    passed = np.ones(len(frequency)) if before is None else np.abs(
-        _response(before.filters[j], size) / before.scale[j]) ** 2
+    passed = (
+        np.ones(len(frequency)) if before is None else np.abs(_response(before.filters[j], size) / before.scale[j]) ** 2
+    )
     f, power = _periodogram(predictor, errors, j)
     weights = _weights(frequency, spectra * passed, f, power)
-    spectrum = weights @ spectra + 2.0 * predictor.step * predictor.least[j] ** 2 * np.abs(
-        _response(predictor.responses[j], size)) ** 2
+    spectrum = (
+        weights @ spectra
+        + 2.0 * predictor.step * predictor.least[j] ** 2 * np.abs(_response(predictor.responses[j], size)) ** 2
+    )
     likelihood = 0.0
     if len(f):
         model = np.interp(f, frequency, spectrum * passed)
-        likelihood = -_INDEPENDENT * float(
-            (np.log(model) + np.minimum(power / model, _OUTLYING)).sum())
+        likelihood = -_INDEPENDENT * float((np.log(model) + np.minimum(power / model, _OUTLYING)).sum())
     return Noise(_whitening(spectrum, predictor.step, size), likelihood)
 
 
 def _response(taps, size) -> np.ndarray:
     """(size / 2 + 1,) complex response of a filter at the frequencies of a transform."""
     folded = np.zeros(-(-len(taps) // size) * size)
-    folded[:len(taps)] = taps
+    folded[: len(taps)] = taps
     return np.fft.rfft(folded.reshape(-1, size).sum(axis=0))
 
 
@@ -96,8 +95,7 @@ def _sources(predictor, j, frequency) -> np.ndarray:
     parts = [known, sensor, volts]
     for time in _LASTING:
         keep = np.exp(-step / time)
-        parts.append(volts * (1.0 - keep ** 2)
-                     / np.abs(1.0 - keep * np.exp(-2j * np.pi * frequency * step)) ** 2)
+        parts.append(volts * (1.0 - keep**2) / np.abs(1.0 - keep * np.exp(-2j * np.pi * frequency * step)) ** 2)
     # each of a unit's variance, so that weights are of one size
     parts = np.array(parts)
     return parts / parts.mean(axis=1, keepdims=True)
@@ -108,15 +106,14 @@ def _periodogram(predictor, errors, j) -> tuple[np.ndarray, np.ndarray]:
     step, rows = predictor.step, predictor.fit_rows[:, j]
     found, start = [], 0
     for n in predictor.lengths:
-        good = np.r_[0, rows[start:start + n].astype(int), 0]
+        good = np.r_[0, rows[start : start + n].astype(int), 0]
         change = np.flatnonzero(np.diff(good))
         for a, b in zip(change[::2], change[1::2]):
             if (b - a) * step < _SHORTEST:
                 continue
             taper = np.hanning(b - a)
-            power = np.abs(np.fft.rfft(errors[start + a:start + b] * taper)) ** 2
-            found.append((np.fft.rfftfreq(b - a, step)[1:],
-                          power[1:] * 2.0 * step / (taper @ taper)))
+            power = np.abs(np.fft.rfft(errors[start + a : start + b] * taper)) ** 2
+            found.append((np.fft.rfftfreq(b - a, step)[1:], power[1:] * 2.0 * step / (taper @ taper)))
         start += n
     if not found:
         return np.zeros(0), np.zeros(0)
@@ -136,9 +133,11 @@ def _weights(frequency, spectra, f, power) -> np.ndarray:
             stop = len(f)
         measured.append(float(np.median(power[start:stop])) / np.log(2.0))
         inside = (frequency >= f[start]) & (frequency <= f[stop - 1])
-        design.append(spectra[:, inside].mean(axis=1) if inside.any() else
-                      np.array([np.interp(0.5 * (f[start] + f[stop - 1]), frequency, s)
-                                for s in spectra]))
+        design.append(
+            spectra[:, inside].mean(axis=1)
+            if inside.any()
+            else np.array([np.interp(0.5 * (f[start] + f[stop - 1]), frequency, s) for s in spectra])
+        )
         start = stop
     only = np.zeros(len(spectra))
     if not measured or not max(measured) > 0.0:
@@ -164,5 +163,5 @@ def _whitening(spectrum, step, size) -> np.ndarray:
     cepstrum = fft.irfft(logarithm, size)
     half = size // 2
     cepstrum[1:half] *= 2.0
-    cepstrum[half + 1:] = 0.0
+    cepstrum[half + 1 :] = 0.0
     return fft.irfft(np.exp(fft.rfft(cepstrum)), size)[:half]

@@ -17,9 +17,9 @@ from ..known_effects import known_voltage
 from ..mechanisms import load_mechanism
 from ..simulator import Simulator
 from ..tracking import innovations
+from .ingest import Log
 from .problem import Problem
 from .sampling import sample
-from .ingest import Log
 
 _EFFECTS = ((), ("coulomb_friction:joint=2,torque=5",), ("joint_elasticity:joint=2,stiffness=2e4",))
 

@@ -78,16 +78,16 @@ class Design:
             what = f"shows {self.suspects[0]} of a usual size"
         elif self.one_way is not None:
             other = next(s for s in self.suspects if s != self.one_way)
-            what = (f"tells {self.one_way} of a usual size from {other}, which it has as a "
-                    "special case")
+            what = f"tells {self.one_way} of a usual size from {other}, which it has as a special case"
         else:
             what = f"tells {self.suspects[0]} and {self.suspects[1]} of a usual size apart"
-        return (f"{what} by {self.nats:.3g} nat, which is {self.noises:.2g} times a noise of "
-                f"{NOISE:g} V all the time (one slow sine a joint: {self.plain:.3g} nat)")
+        return (
+            f"{what} by {self.nats:.3g} nat, which is {self.noises:.2g} times a noise of "
+            f"{NOISE:g} V all the time (one slow sine a joint: {self.plain:.3g} nat)"
+        )
 
 
-def suspects_of(texts: Sequence[str], mechanism: Mechanism,
-                joint: int | None = None) -> tuple[Suspect, ...]:
+def suspects_of(texts: Sequence[str], mechanism: Mechanism, joint: int | None = None) -> tuple[Suspect, ...]:
     """Suspects from ``name`` or ``name@joint``, joint (1-based) for those without one.
 
     Raises
@@ -99,8 +99,7 @@ def suspects_of(texts: Sequence[str], mechanism: Mechanism,
         raise ParameterError(f"{len(texts)} effects", where="--separate", expected="one or two")
     found = tuple(_suspect(text.strip(), mechanism, joint) for text in texts)
     if len(set(found)) < len(found):
-        raise ParameterError(f"{found[0].label} twice", where="--separate",
-                             expected="two effects, or one")
+        raise ParameterError(f"{found[0].label} twice", where="--separate", expected="two effects, or one")
     return found
 
 
@@ -109,21 +108,22 @@ def _suspect(text: str, mechanism: Mechanism, joint: int | None) -> Suspect:
     where = f"--separate {text}"
     kind = KINDS.get(name)
     if kind is None:
-        raise ParameterError(f"unknown effect '{name}'", where=where,
-                             expected=f"one of {', '.join(KINDS)}")
+        raise ParameterError(f"unknown effect '{name}'", where=where, expected=f"one of {', '.join(KINDS)}")
     if kind.screening is None:
-        raise ParameterError("is a parameter of every mechanism", where=where,
-                             expected="an effect; " + _reason(name))
+        raise ParameterError("is a parameter of every mechanism", where=where, expected="an effect; " + _reason(name))
     if not mechanism.possible(name):
-        raise ParameterError(f"has no meaning on {mechanism.name}", where=where,
-                             expected="an effect that this mechanism can have")
+        raise ParameterError(
+            f"has no meaning on {mechanism.name}", where=where, expected="an effect that this mechanism can have"
+        )
     if name == "impulse":
-        raise ParameterError("cannot be brought about", where=where, expected=(
-            "an effect that a motion shows; repeat a motion to see that a blow does not come back"))
+        raise ParameterError(
+            "cannot be brought about",
+            where=where,
+            expected=("an effect that a motion shows; repeat a motion to see that a blow does not come back"),
+        )
     if not kind.per_joint:
         if at:
-            raise ParameterError(f"joint {place}", where=where,
-                                 expected="no joint: it acts on the whole arm")
+            raise ParameterError(f"joint {place}", where=where, expected="no joint: it acts on the whole arm")
         return Suspect(kind, None)
     J = mechanism.joints
     number = int(place) if place.isdigit() else None if at else joint or (1 if J == 1 else None)
@@ -137,15 +137,25 @@ def _suspect(text: str, mechanism: Mechanism, joint: int | None) -> Suspect:
 def _reason(*labels: str) -> str:
     """What the library says on an exact tie of these."""
     names = [label.partition("@")[0] for label in labels]
-    found = [f"{one} and {other} are an exact tie: {why}" for one, other, why in EXACT_TIES
-             if any(one.startswith(n) or other.startswith(n) for n in names)]
+    found = [
+        f"{one} and {other} are an exact tie: {why}"
+        for one, other, why in EXACT_TIES
+        if any(one.startswith(n) or other.startswith(n) for n in names)
+    ]
     return "; ".join(found) or "voltage and position are the same for both"
 
 
-def design(mechanism: Mechanism, suspects: tuple[Suspect, ...], *, seconds: float = 10.0,
-           rate: float = 1.0 / SERVO_PERIOD, seed: int = 0, limits: Limits | None = None,
-           motions: int | None = None,
-           progress: Callable[[str, float], None] = lambda what, share: None) -> Design:
+def design(
+    mechanism: Mechanism,
+    suspects: tuple[Suspect, ...],
+    *,
+    seconds: float = 10.0,
+    rate: float = 1.0 / SERVO_PERIOD,
+    seed: int = 0,
+    limits: Limits | None = None,
+    motions: int | None = None,
+    progress: Callable[[str, float], None] = lambda what, share: None,
+) -> Design:
     """Look for the excitation that tells two suspects apart, or shows one.
 
     Parameters
@@ -164,8 +174,7 @@ def design(mechanism: Mechanism, suspects: tuple[Suspect, ...], *, seconds: floa
     builder = Builder(mechanism, limits, seconds)
     judge = Judge(builder, suspects)
     rng = np.random.default_rng(seed)
-    wanted = frozenset(s.joint for s in suspects if s.joint is not None) or frozenset(
-        range(mechanism.joints))
+    wanted = frozenset(s.joint for s in suspects if s.joint is not None) or frozenset(range(mechanism.joints))
     first = [builder.plain(), *(builder.random(rng, wanted) for _ in range(_LOOKS))]
     one_way = _ties(judge, first)
     count = motions or _count(judge, first[0])
@@ -194,9 +203,11 @@ def design(mechanism: Mechanism, suspects: tuple[Suspect, ...], *, seconds: floa
         if safe is not None:
             found.append((_score(judge.on_play(safe)), -n, safe))
     if not found:
-        raise ParameterError("no motion stays in the ranges of the joints when parameters are "
-                             f"wrong by {_WRONG:.0%}", where=mechanism.name,
-                             expected="a shorter record, or wider ranges")
+        raise ParameterError(
+            f"no motion stays in the ranges of the joints when parameters are wrong by {_WRONG:.0%}",
+            where=mechanism.name,
+            expected="a shorter record, or wider ranges",
+        )
     nats, _, motion = max(found, key=lambda each: each[:2])
     plain = _made_safe(judge, first[0], time, machines, 12)
     labels = tuple(s.label for s in suspects)
@@ -204,11 +215,20 @@ def design(mechanism: Mechanism, suspects: tuple[Suspect, ...], *, seconds: floa
         raise ParameterError(
             f"no motion within the limits gives more than {max(nats, 0.0):.2g} nat",
             where="--separate " + ",".join(labels),
-            expected=f"{LEAST_GAIN:g} nat for a name: more time, voltage or range")
-    return Design(time, np.round(voltages(mechanism, motion, time, judge.noise), 6),
-                  motion.at(time)[0], motion.centre, nats,
-                  0.0 if plain is None else max(_score(judge.on_play(plain)), 0.0), labels,
-                  one_way, motion, seed)
+            expected=f"{LEAST_GAIN:g} nat for a name: more time, voltage or range",
+        )
+    return Design(
+        time,
+        np.round(voltages(mechanism, motion, time, judge.noise), 6),
+        motion.at(time)[0],
+        motion.centre,
+        nats,
+        0.0 if plain is None else max(_score(judge.on_play(plain)), 0.0),
+        labels,
+        one_way,
+        motion,
+        seed,
+    )
 
 
 def _count(judge: Judge, motion: Motion) -> int:
@@ -219,11 +239,13 @@ def _count(judge: Judge, motion: Motion) -> int:
 
 def _check(seconds: float, rate: float) -> None:
     if not _SHORTEST <= seconds <= _LONGEST:
-        raise ParameterError(f"{seconds:g} s", where="--seconds",
-                             expected=f"{_SHORTEST:g} to {_LONGEST:g} s")
+        raise ParameterError(f"{seconds:g} s", where="--seconds", expected=f"{_SHORTEST:g} to {_LONGEST:g} s")
     if not rate >= _LEAST_RATE or seconds * rate > _MOST_ROWS:
-        raise ParameterError(f"{rate:g} rows a second", where="--rate", expected=(
-            f"{_LEAST_RATE:g} at least, and {_MOST_ROWS} rows in all at the most"))
+        raise ParameterError(
+            f"{rate:g} rows a second",
+            where="--rate",
+            expected=(f"{_LEAST_RATE:g} at least, and {_MOST_ROWS} rows in all at the most"),
+        )
 
 
 def _score(distances: list[Distance] | None) -> float:
@@ -240,19 +262,26 @@ def _ties(judge: Judge, motions: list[Motion]) -> str | None:
     looks = [judge.on_plan(motion, alone + judge.directions) for motion in motions]
     for n, label in enumerate(labels):
         if not any(look[n].raw > 0.0 for look in looks):
-            raise ParameterError(f"no motion shows {label} here", where=where,
-                                 expected="an effect that this mechanism can show")
-        if (max(look[n].raw for look in looks) > LEAST_GAIN
-                and max(look[n].nats for look in looks) < _NOTHING):
             raise ParameterError(
-                f"{label} is an exact tie with parameters of {judge.mechanism.name}", where=where,
-                expected=f"an effect that they cannot make up for ({_reason(label)})")
-    possible = [direction for n, direction in enumerate(judge.directions, start=len(labels))
-                if len(labels) == 1 or any(look[n].share > _NO_SHARE for look in looks)]
+                f"no motion shows {label} here", where=where, expected="an effect that this mechanism can show"
+            )
+        if max(look[n].raw for look in looks) > LEAST_GAIN and max(look[n].nats for look in looks) < _NOTHING:
+            raise ParameterError(
+                f"{label} is an exact tie with parameters of {judge.mechanism.name}",
+                where=where,
+                expected=f"an effect that they cannot make up for ({_reason(label)})",
+            )
+    possible = [
+        direction
+        for n, direction in enumerate(judge.directions, start=len(labels))
+        if len(labels) == 1 or any(look[n].share > _NO_SHARE for look in looks)
+    ]
     if not possible:
-        raise ParameterError(f"{labels[0]} and {labels[1]} are an exact tie", where=where,
-                             expected="effects that differ in voltage and position "
-                                      f"({_reason(*labels)})")
+        raise ParameterError(
+            f"{labels[0]} and {labels[1]} are an exact tie",
+            where=where,
+            expected=f"effects that differ in voltage and position ({_reason(*labels)})",
+        )
     one_way = labels[possible[0][0]] if len(possible) < len(judge.directions) else None
     judge.directions = possible
     return one_way
@@ -263,11 +292,10 @@ def _machines(judge: Judge, rng) -> list:
     mechanism = judge.mechanism
     wrong = np.array([_VISCOUS_WRONG if "viscous" in p.name else _WRONG for p in mechanism.free])
     thetas = [mechanism.start] + [
-        mechanism.start * (1.0 + wrong * rng.choice([-1.0, 1.0], len(wrong)))
-        for _ in range(_MACHINES)]
+        mechanism.start * (1.0 + wrong * rng.choice([-1.0, 1.0], len(wrong))) for _ in range(_MACHINES)
+    ]
     plants = [mechanism.plant(theta) for theta in thetas]
-    return plants + [plant_with(mechanism, theta, effects)
-                     for theta, effects in zip(thetas[1:], judge.usual)]
+    return plants + [plant_with(mechanism, theta, effects) for theta, effects in zip(thetas[1:], judge.usual)]
 
 
 def _made_safe(judge: Judge, motion: Motion, time, machines, tries: int) -> Motion | None:

@@ -41,8 +41,7 @@ def _size(c, G, parameter, threshold) -> float | None:
         if gain < threshold:
             return None
         return _value(c, c.mean, parameter)
-    price = 0.5 * float(np.linalg.slogdet(np.eye(len(G)) + c.deviation[:, None] * G
-                                          * c.deviation)[1])
+    price = 0.5 * float(np.linalg.slogdet(np.eye(len(G)) + c.deviation[:, None] * G * c.deviation)[1])
     # along the coefficients of a typical effect of this kind
     direction = np.where(c.mean != 0.0, c.mean, c.deviation)
     power = float(direction @ G @ direction)

@@ -65,7 +65,7 @@ class Bank:
         for j, at in enumerate(self.at):
             first = np.searchsorted(at, entry.columns.start)
             if first < len(at) and at[first] == entry.columns.start:
-                out[j] = self.values[j][:, first:first + entry.columns.stop - entry.columns.start]
+                out[j] = self.values[j][:, first : first + entry.columns.stop - entry.columns.start]
         return out
 
 
@@ -115,8 +115,7 @@ class Base:
     def log_evidence(self) -> float:
         """Log marginal likelihood of the base, with the determinants of the noise."""
         noise = sum(w.log_determinant for w in self.whiteners)
-        return -0.5 * (self.yPy + self.log_determinant + noise
-                       + self.rows * np.log(2.0 * np.pi))
+        return -0.5 * (self.yPy + self.log_determinant + noise + self.rows * np.log(2.0 * np.pi))
 
     @property
     def coefficients(self) -> np.ndarray:
@@ -159,7 +158,7 @@ class Whitened:
         for j, at in enumerate(self.bank.at):
             first = np.searchsorted(at, c.start)
             if first < len(at) and at[first] == c.start:
-                part = self.X[j][:, first:first + c.stop - c.start]
+                part = self.X[j][:, first : first + c.stop - c.start]
                 G = G + part.T @ part
         return G
 
@@ -178,7 +177,7 @@ def log_gain(G, b, mean, deviation):
     Also the posterior mean of the coefficients, same shape as b, and their covariance (p, p).
     """
     mean = mean if b.ndim == 1 else mean[:, None]
-    inner = G + np.diag(1.0 / deviation ** 2)
+    inner = G + np.diag(1.0 / deviation**2)
     factor = cho_factor(inner, lower=True)
     rest = b - G @ mean
     moved = cho_solve(factor, rest)
@@ -199,10 +198,8 @@ def screen(base: Base, whitened: Whitened) -> list[Scored]:
         gain, coefficients, covariance = log_gain(G, b[entry.columns], c.mean, c.deviation)
         gain = gain - np.log(c.tried)
         likelihood = 0.5 * float(coefficients @ (2.0 * b[entry.columns] - G @ coefficients))
-        found[entry.hypothesis].append((float(gain), entry, coefficients, covariance,
-                                        likelihood))
-    return [scored_of(name, joint, rows)
-            for (name, joint), rows in zip(bank.hypotheses, found) if rows]
+        found[entry.hypothesis].append((float(gain), entry, coefficients, covariance, likelihood))
+    return [scored_of(name, joint, rows) for (name, joint), rows in zip(bank.hypotheses, found) if rows]
 
 
 def scored_of(name, joint, rows) -> Scored:
@@ -220,8 +217,8 @@ def scored_of(name, joint, rows) -> Scored:
         except Illegal as problem:
             reason = reason or str(problem)
             continue
-        return Scored(name, joint, total, gain, entry, coefficients, covariance, values, None,
-                      likelihood - total)
+        return Scored(name, joint, total, gain, entry, coefficients, covariance, values, None, likelihood - total)
     best = rows[int(np.argmax(gains))]
-    return Scored(name, joint, total, best[0], best[1], best[2], best[3], None,
-                  reason or "no legal coefficients", best[4] - total)
+    return Scored(
+        name, joint, total, best[0], best[1], best[2], best[3], None, reason or "no legal coefficients", best[4] - total
+    )

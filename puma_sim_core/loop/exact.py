@@ -45,11 +45,15 @@ def as_measured(log: Log, mechanism) -> tuple[Log, str | None]:
         joints.append(j + 1)
     if not joints:
         return log, None
-    which = "all joints" if len(joints) == log.joints else \
-        f"joint{'s' if len(joints) > 1 else ''} {', '.join(map(str, joints))}"
+    which = (
+        "all joints"
+        if len(joints) == log.joints
+        else f"joint{'s' if len(joints) > 1 else ''} {', '.join(map(str, joints))}"
+    )
     return replace(log, position=position, quantum=quantum), (
         f"The positions of {which} are exact, as a simulator gives them: they are read as by an "
-        f"encoder with {1.0 / _STEP_SHARE:.0f} steps over the range.")
+        f"encoder with {1.0 / _STEP_SHARE:.0f} steps over the range."
+    )
 
 
 def _noise(position: np.ndarray) -> float:

@@ -43,8 +43,7 @@ class Limits:
     voltage: np.ndarray
 
     @classmethod
-    def of(cls, mechanism: Mechanism, voltage: float | None = None,
-           velocity: float | None = None) -> Limits:
+    def of(cls, mechanism: Mechanism, voltage: float | None = None, velocity: float | None = None) -> Limits:
         """Ranges of a mechanism; the same greatest voltage and velocity for all joints.
 
         Without a voltage it is 40 V for an arm, and ten times that of a middling friction torque
@@ -55,8 +54,9 @@ class Limits:
         if voltage is None:
             unit = mechanism.drive(mechanism.start).volts_per_torque * mechanism.torque_scale
             voltage = _ARM_VOLTAGE if J > 1 else _OTHER_VOLTAGE * float(unit[0])
-        return cls(mechanism.ranges, _SPEED * span if velocity is None else np.full(J, velocity),
-                   np.full(J, float(voltage)))
+        return cls(
+            mechanism.ranges, _SPEED * span if velocity is None else np.full(J, velocity), np.full(J, float(voltage))
+        )
 
     def hold(self, position: np.ndarray) -> bool:
         """Whether positions (n, J) are within the ranges."""
@@ -102,7 +102,7 @@ class Motion:
         root = np.sqrt(1.0 - s * s)
         size = size / np.arcsin(_SHARP)
         x, v = x + size * np.arcsin(s), v + size * w * c / root
-        a = a - size * w * w * s * (1.0 - _SHARP ** 2) / root ** 3
+        a = a - size * w * w * s * (1.0 - _SHARP**2) / root**3
         e, e1, e2 = self._envelope(time)
         return (self.centre + e * x, e1 * x + e * v, e2 * x + 2.0 * e1 * v + e * a)
 
@@ -113,20 +113,22 @@ class Motion:
         up, up1, up2 = _step((time[:, None] - begin) / swell)
         down, down1, down2 = _step((end - time[:, None]) / swell)
         # at least one of the two is constant wherever the other is not
-        return up * down, (up1 * down - up * down1) / swell, (up2 * down + up * down2) / swell ** 2
+        return up * down, (up1 * down - up * down1) / swell, (up2 * down + up * down2) / swell**2
 
     def shrunk(self, by: np.ndarray, home: np.ndarray) -> Motion:
         """The motion with its swings made smaller by (J,) factors, and nearer to a pose (J,)."""
-        return replace(self, centre=home + (self.centre - home) * by,
-                       amplitude=self.amplitude * by[:, None],
-                       triangle=self.triangle * np.stack([by, by ** 0, by ** 0], axis=1))
+        return replace(
+            self,
+            centre=home + (self.centre - home) * by,
+            amplitude=self.amplitude * by[:, None],
+            triangle=self.triangle * np.stack([by, by**0, by**0], axis=1),
+        )
 
 
 def _step(x):
     """A step from 0 to 1 over 0..1 that bends and turns smoothly, with two derivatives."""
     x = np.clip(x, 0.0, 1.0)
-    return (x ** 3 * (10.0 - 15.0 * x + 6.0 * x * x), 30.0 * (x * (1.0 - x)) ** 2,
-            60.0 * x * (1.0 - x) * (1.0 - 2.0 * x))
+    return (x**3 * (10.0 - 15.0 * x + 6.0 * x * x), 30.0 * (x * (1.0 - x)) ** 2, 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x))
 
 
 # ------------------------------------------------------------------------------ how they are made
@@ -169,8 +171,13 @@ class Builder:
 
     def changed(self, motion: Motion, rng: np.random.Generator) -> Motion:
         """A neighbour of a motion."""
-        m = replace(motion, **{name: getattr(motion, name).copy() for name in
-                               ("centre", "amplitude", "count", "phase", "triangle", "span")})
+        m = replace(
+            motion,
+            **{
+                name: getattr(motion, name).copy()
+                for name in ("centre", "amplitude", "count", "phase", "triangle", "span")
+            },
+        )
         for j in range(self.mechanism.joints):
             if j > 0 and rng.random() < 0.3:
                 continue
@@ -198,9 +205,15 @@ class Builder:
 
     def _rest(self) -> Motion:
         J, K = self.mechanism.joints, HARMONICS + FAST
-        return Motion(self.seconds, self.limits.home, np.zeros((J, K)), np.ones((J, K)),
-                      np.zeros((J, K)), np.tile([0.0, 1.0, 0.0], (J, 1)),
-                      np.tile([_REST, self.seconds - _REST], (J, 1)))
+        return Motion(
+            self.seconds,
+            self.limits.home,
+            np.zeros((J, K)),
+            np.ones((J, K)),
+            np.zeros((J, K)),
+            np.tile([0.0, 1.0, 0.0], (J, 1)),
+            np.tile([_REST, self.seconds - _REST], (J, 1)),
+        )
 
     def _place(self, m: Motion, j: int, rng) -> None:
         """A pose: the middle of the range, or somewhere."""
@@ -209,12 +222,12 @@ class Builder:
 
     def _swing(self, m: Motion, j: int, rng) -> None:
         """The Fourier series: its base, how fast it falls off, and its size."""
-        base = np.exp(rng.uniform(np.log(1.0 / self.seconds), np.log(max(_BASE,
-                                                                         1.0 / self.seconds))))
+        base = np.exp(rng.uniform(np.log(1.0 / self.seconds), np.log(max(_BASE, 1.0 / self.seconds))))
         k = np.arange(1, HARMONICS + 1)
         shape = rng.normal(size=HARMONICS) / k ** rng.uniform(0.0, 2.0)
-        size = self.half[j] * (rng.uniform(0.3, 1.0) if rng.random() < 0.5 else
-                               np.exp(rng.uniform(np.log(0.02), np.log(0.3))))
+        size = self.half[j] * (
+            rng.uniform(0.3, 1.0) if rng.random() < 0.5 else np.exp(rng.uniform(np.log(0.02), np.log(0.3)))
+        )
         m.count[j, :HARMONICS] = max(1, round(base * self.seconds)) * k
         m.phase[j, :HARMONICS] = rng.uniform(0.0, 2.0 * np.pi, HARMONICS)
         m.amplitude[j, :HARMONICS] = size * shape / np.abs(shape).sum()
@@ -224,22 +237,20 @@ class Builder:
         if rng.random() < 0.5:
             m.amplitude[j, :HARMONICS] *= 0.05
         size = self.half[j] * np.exp(rng.uniform(np.log(0.01), np.log(0.8)))
-        m.triangle[j] = size, rng.integers(1, max(2, round(0.6 * self.seconds)) + 1), \
-            rng.uniform(0.0, 2.0 * np.pi)
+        m.triangle[j] = size, rng.integers(1, max(2, round(0.6 * self.seconds)) + 1), rng.uniform(0.0, 2.0 * np.pi)
 
     def _shake(self, m: Motion, j: int, rng) -> None:
         """Fast waves that take a part of a middling friction's voltage each."""
         counts = np.round(rng.uniform(*_FAST, FAST) * self.seconds)
         w = 2.0 * np.pi * counts / self.seconds
-        inertia = self.drive.motor_inertia[j] + self.mechanism.inertia(
-            self.theta, m.centre[None])[0, j]
-        takes = np.hypot(self.drive.emf[j] * w + self.drive.volts_per_torque[j]
-                         * self.drive.viscous[j] * w, self.drive.volts_per_torque[j] * inertia
-                         * w * w)
+        inertia = self.drive.motor_inertia[j] + self.mechanism.inertia(self.theta, m.centre[None])[0, j]
+        takes = np.hypot(
+            self.drive.emf[j] * w + self.drive.volts_per_torque[j] * self.drive.viscous[j] * w,
+            self.drive.volts_per_torque[j] * inertia * w * w,
+        )
         m.count[j, HARMONICS:] = counts
         m.phase[j, HARMONICS:] = rng.uniform(0.0, 2.0 * np.pi, FAST)
-        m.amplitude[j, HARMONICS:] = self.volts[j] * np.exp(rng.uniform(
-            np.log(0.05), np.log(2.0), FAST)) / takes
+        m.amplitude[j, HARMONICS:] = self.volts[j] * np.exp(rng.uniform(np.log(0.05), np.log(2.0), FAST)) / takes
 
     def _span(self, m: Motion, j: int, rng) -> None:
         """The joint moves for a part of the record."""
@@ -256,14 +267,20 @@ class Builder:
         low, high = np.array(limits.position).T
         free = (1.0 - 2.0 * _MARGIN) * 2.0 * self.half
         q, qd, _ = m.at(self.time)
-        by = np.minimum(1.0, np.minimum(
-            free / np.maximum(np.ptp(q, axis=0), 1e-12),
-            limits.velocity / np.maximum(np.abs(qd).max(axis=0), 1e-12)))
+        by = np.minimum(
+            1.0,
+            np.minimum(
+                free / np.maximum(np.ptp(q, axis=0), 1e-12), limits.velocity / np.maximum(np.abs(qd).max(axis=0), 1e-12)
+            ),
+        )
         m = m.shrunk(by, m.centre)
         for _ in range(12):
             q, qd, qdd = m.at(self.time)
-            inside = np.clip(m.centre, low + _MARGIN * 2.0 * self.half + m.centre - q.min(axis=0),
-                             high - _MARGIN * 2.0 * self.half + m.centre - q.max(axis=0))
+            inside = np.clip(
+                m.centre,
+                low + _MARGIN * 2.0 * self.half + m.centre - q.min(axis=0),
+                high - _MARGIN * 2.0 * self.half + m.centre - q.max(axis=0),
+            )
             q, m = q + inside - m.centre, replace(m, centre=inside)
             peak = np.abs(self.mechanism.model_voltage(self.theta, q, qd, qdd)).max(axis=0)
             over = peak / (_VOLTAGE_SHARE * limits.voltage)
@@ -278,8 +295,7 @@ class Builder:
 # ----------------------------------------------------------------------------------------- voltages
 
 
-def signals_of(mechanism: Mechanism, step: float, q, qd, qdd, voltage, noise: np.ndarray,
-               shaken: bool) -> Signals:
+def signals_of(mechanism: Mechanism, step: float, q, qd, qdd, voltage, noise: np.ndarray, shaken: bool) -> Signals:
     """`Signals` of a motion at even times from 0 on.
 
     q, qd, qdd, voltage : (n, J); noise (J,): standard deviation of the velocity that the log of
@@ -291,25 +307,38 @@ def signals_of(mechanism: Mechanism, step: float, q, qd, qdd, voltage, noise: np
     torque = link + drive.motor_inertia * qdd + drive.viscous * qd
     inertia = mechanism.inertia_matrix(theta, q)
     return Signals(
-        time=step * np.arange(n), step=step, segment=np.zeros(n, dtype=int), voltage=voltage,
-        position=q, velocity=qd, acceleration=qdd, link_torque=link,
-        gravity_torque=mechanism.gravity(theta, q), torque=torque,
-        current=torque * drive.volts_per_torque / drive.resistance, enable=np.ones_like(q),
+        time=step * np.arange(n),
+        step=step,
+        segment=np.zeros(n, dtype=int),
+        voltage=voltage,
+        position=q,
+        velocity=qd,
+        acceleration=qdd,
+        link_torque=link,
+        gravity_torque=mechanism.gravity(theta, q),
+        torque=torque,
+        current=torque * drive.volts_per_torque / drive.resistance,
+        enable=np.ones_like(q),
         link_inertia=np.diagonal(inertia, axis1=1, axis2=2).copy(),
-        motor_inertia=drive.motor_inertia, viscous=drive.viscous,
-        volts_per_torque=drive.volts_per_torque, lag=drive.lag, emf=drive.emf,
+        motor_inertia=drive.motor_inertia,
+        viscous=drive.viscous,
+        volts_per_torque=drive.volts_per_torque,
+        lag=drive.lag,
+        emf=drive.emf,
         gear=np.asarray(mechanism.gear, dtype=float),
-        torque_scale=np.asarray(mechanism.torque_scale, dtype=float), velocity_noise=noise,
-        quantum=np.zeros(mechanism.joints), ranges=tuple(mechanism.ranges),
+        torque_scale=np.asarray(mechanism.torque_scale, dtype=float),
+        velocity_noise=noise,
+        quantum=np.zeros(mechanism.joints),
+        ranges=tuple(mechanism.ranges),
         gravity_tilt=mechanism.gravity_tilt(theta, q),
         payload_torque=lambda z: mechanism.payload_torque(theta, z, q, qd, qdd),
         inertia=inertia if shaken else None,
         position_gradient=mechanism.position_gradient(theta, q, qd, qdd) if shaken else None,
-        torque_per_ampere=drive.resistance / drive.volts_per_torque)
+        torque_per_ampere=drive.resistance / drive.volts_per_torque,
+    )
 
 
-def voltages(mechanism: Mechanism, motion: Motion, time: np.ndarray,
-             noise: np.ndarray) -> np.ndarray:
+def voltages(mechanism: Mechanism, motion: Motion, time: np.ndarray, noise: np.ndarray) -> np.ndarray:
     """(n, J) voltages [V] that drive the start model along a motion, each held for a step.
 
     Equation of `mechanisms`, with the winding's lag, at the middle of each step; what effects of
@@ -327,6 +356,5 @@ def voltages(mechanism: Mechanism, motion: Motion, time: np.ndarray,
         return volts
     total = volts
     for _ in range(2):  # a dead-band or a delay reads the voltages themselves
-        total = volts + known_voltage(mechanism, theta, signals_of(
-            mechanism, step, q, qd, qdd, total, noise, True))
+        total = volts + known_voltage(mechanism, theta, signals_of(mechanism, step, q, qd, qdd, total, noise, True))
     return total

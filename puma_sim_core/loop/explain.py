@@ -37,9 +37,17 @@ from .wrong_zero import wrong_zeros
 _LEAST_NOISE, _GREATEST_NOISE = 0.02, 0.5
 
 
-def explain(logs: str | Log | Sequence, *, held_out: Sequence = (), plant: str = "puma560",
-            parameters: str | None = None, model=None, columns: Mapping[str, str] | None = None,
-            seed: int = 0, progress: Callable[[str, float], None] | None = None) -> Explanation:
+def explain(
+    logs: str | Log | Sequence,
+    *,
+    held_out: Sequence = (),
+    plant: str = "puma560",
+    parameters: str | None = None,
+    model=None,
+    columns: Mapping[str, str] | None = None,
+    seed: int = 0,
+    progress: Callable[[str, float], None] | None = None,
+) -> Explanation:
     """What the model lacks, by measured logs.
 
     Parameters
@@ -69,9 +77,14 @@ def explain(logs: str | Log | Sequence, *, held_out: Sequence = (), plant: str =
     fitted, kept = (_logs(given, columns, mechanism.joints) for given in (logs, held_out))
     if not fitted:
         raise RecordingError("no log", where="explain", expected="one at least")
-    common = dict(mechanism=mechanism.name, logs=tuple(log.name for log in fitted),
-                  held_out_logs=tuple(log.name for log in kept), version=__version__, seed=seed,
-                  position_unit=mechanism.position_unit)
+    common = dict(
+        mechanism=mechanism.name,
+        logs=tuple(log.name for log in fitted),
+        held_out_logs=tuple(log.name for log in kept),
+        version=__version__,
+        seed=seed,
+        position_unit=mechanism.position_unit,
+    )
     faults, notes = [], []
     for log in (*fitted, *kept):
         found, said = check(log, mechanism)
@@ -81,10 +94,15 @@ def explain(logs: str | Log | Sequence, *, held_out: Sequence = (), plant: str =
     analysis = None if faults else Analysis.of(fitted, kept, mechanism, seed, progress)
     faults = faults or wrong_zeros(analysis.selected.stages)
     if faults:
-        return Explanation(DATA_FAULT, outcome.fault_sentence(faults), faults=tuple(faults),
-                           notes=tuple(notes), seconds=clock.perf_counter() - begin, **common)
-    analysis.source = {"plant": str(plant), "parameters": parameters,
-                       "model": None if model is None else str(model)}
+        return Explanation(
+            DATA_FAULT,
+            outcome.fault_sentence(faults),
+            faults=tuple(faults),
+            notes=tuple(notes),
+            seconds=clock.perf_counter() - begin,
+            **common,
+        )
+    analysis.source = {"plant": str(plant), "parameters": parameters, "model": None if model is None else str(model)}
     return analysis.explanation(tuple(notes), begin, common)
 
 
@@ -117,8 +135,9 @@ class Analysis:
         sampled = sample(logs)
         segments = range(len(fitted), len(logs))
         problem = Problem(sampled, mechanism, tuple(segments), hold_back=not kept)
-        library = {name: kind for name, kind in KINDS.items()
-                   if kind.screening is not None and mechanism.possible(name)}
+        library = {
+            name: kind for name, kind in KINDS.items() if kind.screening is not None and mechanism.possible(name)
+        }
         search = Search(problem, library, progress)
         progress("retuning", 0.03)
         retuned = search.retune(mechanism.start)
@@ -138,8 +157,7 @@ class Analysis:
         progress("validating", 0.86)
         held_out = HeldOut.of(problem, predictor, kept_back)
         selected = _confirmed(selection, selected, held_out)
-        return cls(logs, mechanism, problem, search, predictor, selection, selected, held_out,
-                   seed, progress)
+        return cls(logs, mechanism, problem, search, predictor, selection, selected, held_out, seed, progress)
 
     def explanation(self, notes, begin, common) -> Explanation:
         """Steps 7 to 11."""
@@ -153,7 +171,7 @@ class Analysis:
         self.progress("what could have been seen", 0.93)
         rows = []
         for name, kind in self.search.library.items():
-            for j in ([None] if not kind.per_joint else range(m.joints)):
+            for j in [None] if not kind.per_joint else range(m.joints):
                 pairs = [(c, causal.gram(c)) for c in kind.screening.candidates(causal.signals, j)]
                 joint = None if j is None else j + 1
                 row = detectable(name, joint, kind, pairs, s.stages[-1].needed(joint))
@@ -164,16 +182,17 @@ class Analysis:
         linear = p.linear(final.point.theta, final.point.effects)
         bias = feedback.test(p, self.search.settle(linear, ()))
         spread = intervals.intervals(fit, final)
-        return outcome.compose(self, errors, residuals, shapes, chance, rows, bias, spread, model,
-                               notes, begin, common)
+        return outcome.compose(self, errors, residuals, shapes, chance, rows, bias, spread, model, notes, begin, common)
 
     def _errors(self) -> tuple[dict, dict]:
         """(N, J) voltages [V] that the nominal, the retuned and the augmented model lack, and the
         tables of errors (step 7)."""
         p, s, start = self.predictor, self.selected, Point(self.mechanism.start, ())
         fitted = self.held_out.folds[0].validation
-        plants = {name: self.mechanism.plant(point.theta, point.effects) for name, point in (
-            ("nominal", start), ("retuned", s.retuned.point), ("augmented", s.final.point))}
+        plants = {
+            name: self.mechanism.plant(point.theta, point.effects)
+            for name, point in (("nominal", start), ("retuned", s.retuned.point), ("augmented", s.final.point))
+        }
         residuals = {name: fitted.volts(plant) for name, plant in plants.items()}
         floor = self._less(s.final.point) * p.floor_in_volts(self.problem.sampled.cutoffs[1])
         left = np.where(p.fit_rows, p.errors(plants["augmented"]), np.nan)
@@ -181,8 +200,10 @@ class Analysis:
         # what a remainder leaves in the innovations is no noise, nor is all that came before a name
         noise = np.minimum(volts, p.volts), sensed
         models = {"nominal": start, "retuned": s.retuned_model, "augmented": s.model}
-        return residuals, {"fit": fitted.errors(plants, residuals, floor, noise),
-                           **self.held_out.errors(models, floor, noise)}
+        return residuals, {
+            "fit": fitted.errors(plants, residuals, floor, noise),
+            **self.held_out.errors(models, floor, noise),
+        }
 
     def _unnamed(self) -> tuple[list, float]:
         """Free curves against what is left, and what chance gives any of them; names give way to a
@@ -193,8 +214,7 @@ class Analysis:
             bare = self.selection.bare(self.selected)
             acting = {joint for _, joint in self.selected.keys}
             remains = outcome.remainder(self.selected, shapes, chance, self._left()) is not None
-            if unnamed.stands(bare.final, self.selected.final,
-                              None if None in acting else acting, remains):
+            if unnamed.stands(bare.final, self.selected.final, None if None in acting else acting, remains):
                 self.selected = bare
                 shapes, chance = unnamed.shapes(bare.final)
         return shapes, chance
@@ -209,8 +229,7 @@ class Analysis:
     def _left(self) -> np.ndarray:
         """(J,) residual of the rows to fit after what was chosen, in terms of its floor."""
         point, cutoff = self.selected.final.point, self.problem.sampled.cutoffs[1]
-        volts = self.held_out.folds[0].validation.volts(
-            self.mechanism.plant(point.theta, point.effects))
+        volts = self.held_out.folds[0].validation.volts(self.mechanism.plant(point.theta, point.effects))
         floor = self._less(point) * self.predictor.floor_in_volts(cutoff)
         return rms(volts, self.predictor.fit_rows) / floor
 

@@ -42,7 +42,7 @@ def instruments(problem, joint: int) -> tuple[np.ndarray, str]:
         for age in _AGES:
             shift = int(round((first + age) / s.step))
             for d in derivatives:
-                parts.append(np.vstack([np.repeat(d[:1], shift, axis=0), d[:len(d) - shift]]))
+                parts.append(np.vstack([np.repeat(d[:1], shift, axis=0), d[: len(d) - shift]]))
         columns.append(np.hstack(parts))
     Z = np.vstack(columns)[problem.kept]
     Z = Z - Z.mean(axis=0)
@@ -80,12 +80,15 @@ def test(problem, fit) -> FeedbackBias:
         if np.linalg.cond(G) > 1e8:
             continue
         b = np.linalg.solve(G, project.T @ e)
-        covariance = np.linalg.inv(G) * max(1.0, float((e ** 2).mean()))
+        covariance = np.linalg.inv(G) * max(1.0, float((e**2).mean()))
         statistic[j] = b[1] ** 2 / covariance[1, 1]
     p_value = chi2.sf(statistic, 1)
     biased = bool((p_value < SIGNIFICANCE).any())
     joints = ", ".join(str(j + 1) for j in np.flatnonzero(p_value < SIGNIFICANCE))
-    sentence = (f"Feedback shows in the voltage of joint {joints}: a delay or an elasticity found "
-                f"here may be made by it; a dither on the voltage would tell."
-                if biased else "No sign that feedback biases a delay or an elasticity.")
+    sentence = (
+        f"Feedback shows in the voltage of joint {joints}: a delay or an elasticity found "
+        f"here may be made by it; a dither on the voltage would tell."
+        if biased
+        else "No sign that feedback biases a delay or an elasticity."
+    )
     return FeedbackBias(statistic, p_value, biased, name, sentence)

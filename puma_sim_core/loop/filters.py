@@ -28,8 +28,7 @@ def edge(cutoff: float) -> float:
     return _SETTLING / cutoff
 
 
-def low_pass(values: np.ndarray, step: float, cutoff: float, orders=(0,),
-             lag: float = 0.0) -> list[np.ndarray]:
+def low_pass(values: np.ndarray, step: float, cutoff: float, orders=(0,), lag: float = 0.0) -> list[np.ndarray]:
     """Derivatives of a filtered series.
 
     values (n, ...) : samples each `step` [s], along the first axis.
@@ -43,7 +42,7 @@ def low_pass(values: np.ndarray, step: float, cutoff: float, orders=(0,),
     n = len(values)
     pad = min(n - 1, int(np.ceil(2.0 * edge(cutoff) / step)))
     before = 2.0 * values[:1] - values[pad:0:-1]
-    after = 2.0 * values[-1:] - values[-2:-pad - 2:-1]
+    after = 2.0 * values[-1:] - values[-2 : -pad - 2 : -1]
     # a straight line joins the ends: what is transformed is periodic, without a jump
     long = np.concatenate([before, values, after])
     m = len(long)
@@ -59,7 +58,7 @@ def low_pass(values: np.ndarray, step: float, cutoff: float, orders=(0,),
     keep = slice(pad, pad + n)
     result = []
     for order in orders:
-        part = fft.irfft(spectrum * (gain * omega ** order).reshape(shape), size, axis=0)[keep]
+        part = fft.irfft(spectrum * (gain * omega**order).reshape(shape), size, axis=0)[keep]
         if order == 0:
             part = part + long[0] + slope * (ramp[keep] + lag)
         elif order == 1:

@@ -16,8 +16,15 @@ from .channel_faults import channel_faults, moderate_faults, unexplained
 from .ingest import Log
 from .plausibility import Plausibility, coarse
 from .result import Fault
-from .row_faults import (frozen_positions, frozen_voltages, jitter_faults, number_faults,
-                         position_faults, time_faults, voltage_spikes)
+from .row_faults import (
+    frozen_positions,
+    frozen_voltages,
+    jitter_faults,
+    number_faults,
+    position_faults,
+    time_faults,
+    voltage_spikes,
+)
 
 #: a log must have this many rows and last this long [s]
 LEAST_ROWS, LEAST_TIME = 100, 1.0
@@ -42,33 +49,50 @@ def check(log: Log, mechanism) -> tuple[list[Fault], list[str]]:
     model = Plausibility(mechanism)
     c = coarse(log)
     if c is None:
-        return [Fault("time", None, f"{len(log)} rows of very uneven times; expected rows that are "
-                      "spread over the log")], notes
+        return [
+            Fault("time", None, f"{len(log)} rows of very uneven times; expected rows that are spread over the log")
+        ], notes
     still = _rests(log, mechanism)
     if still.all():
         # a constant voltage may do what it likes: a joint in a stop or with a brake rests
-        driven = [f"position{j + 1}" for j in range(log.joints)
-                  if np.ptp(log.voltage[:, j]) > 2.0 * model.unit[j]]
+        driven = [f"position{j + 1}" for j in range(log.joints) if np.ptp(log.voltage[:, j]) > 2.0 * model.unit[j]]
         frozen = [f for f in frozen_positions(log, model, c) if f.channel in driven]
-        return frozen or [Fault(f"position{j + 1}", None, "nothing moves: it stays within "
-                                f"{np.ptp(log.position[:, j]):.2g} {mechanism.position_unit}; "
-                                "expected a motion, which alone tells anything")
-                          for j in range(log.joints)], notes
-    faults = (jitter_faults(log) or channel_faults(model, c) or position_faults(log, model)
-              or frozen_voltages(log, model, c)
-              or moderate_faults(model, c, coarse(log, _SLOW) or c)
-              or frozen_positions(log, model, c) or unexplained(model, c)
-              or voltage_spikes(log, model) or _outside(log, mechanism))
-    notes += [f"Joint {j + 1} does not move: nothing can be said of it alone."
-              for j in np.flatnonzero(still)]
+        return frozen or [
+            Fault(
+                f"position{j + 1}",
+                None,
+                "nothing moves: it stays within "
+                f"{np.ptp(log.position[:, j]):.2g} {mechanism.position_unit}; "
+                "expected a motion, which alone tells anything",
+            )
+            for j in range(log.joints)
+        ], notes
+    faults = (
+        jitter_faults(log)
+        or channel_faults(model, c)
+        or position_faults(log, model)
+        or frozen_voltages(log, model, c)
+        or moderate_faults(model, c, coarse(log, _SLOW) or c)
+        or frozen_positions(log, model, c)
+        or unexplained(model, c)
+        or voltage_spikes(log, model)
+        or _outside(log, mechanism)
+    )
+    notes += [f"Joint {j + 1} does not move: nothing can be said of it alone." for j in np.flatnonzero(still)]
     return faults, notes
 
 
 def _short(log: Log) -> list[Fault]:
     length = float(log.time[-1] - log.time[0])
     if len(log) < LEAST_ROWS or 0.0 <= length < LEAST_TIME:
-        return [Fault("time", None, f"the log is too short: {len(log)} rows over {length:.3g} s; "
-                      f"expected {LEAST_ROWS} rows and {LEAST_TIME:g} s at least")]
+        return [
+            Fault(
+                "time",
+                None,
+                f"the log is too short: {len(log)} rows over {length:.3g} s; "
+                f"expected {LEAST_ROWS} rows and {LEAST_TIME:g} s at least",
+            )
+        ]
     return []
 
 
@@ -79,8 +103,7 @@ def _rests(log: Log, mechanism) -> np.ndarray:
         q = log.position[:, j]
         blocks = [part.mean() for part in np.array_split(q, 50)]
         width = float(np.ptp(mechanism.ranges[j]))
-        still[j] = (np.ptp(blocks) <= max(_REST_STEPS * log.quantum[j], _REST_SHARE * width)
-                    and np.ptp(q) < 1e-3 * width)
+        still[j] = np.ptp(blocks) <= max(_REST_STEPS * log.quantum[j], _REST_SHARE * width) and np.ptp(q) < 1e-3 * width
     return still
 
 
@@ -92,7 +115,12 @@ def _outside(log: Log, mechanism) -> list[Fault]:
         if rows.size:
             r = int(rows[0])
             whole = rows.size > 0.9 * len(q)
-            found.append(Fault(f"position{j + 1}", None if whole else r + 1,
-                               f"{q[r]:.5g} at {log.place(r)}, far outside the joint's range; "
-                               f"expected {low:.4g} to {high:.4g} {mechanism.position_unit}"))
+            found.append(
+                Fault(
+                    f"position{j + 1}",
+                    None if whole else r + 1,
+                    f"{q[r]:.5g} at {log.place(r)}, far outside the joint's range; "
+                    f"expected {low:.4g} to {high:.4g} {mechanism.position_unit}",
+                )
+            )
     return found

@@ -93,8 +93,7 @@ class HeldOut:
         one, other = (float((self.position_rms(m) ** 2).mean()) for m in (model, than))
         return not one >= other
 
-    def errors(self, models: Mapping[str, Model | Point], floor: np.ndarray, noise
-               ) -> dict[str, Errors]:
+    def errors(self, models: Mapping[str, Model | Point], floor: np.ndarray, noise) -> dict[str, Errors]:
         """The tables: "held_out" of all folds, and where there are several "unseen", of the one
         alone that the choice of the effects has not seen either.
 
@@ -102,8 +101,9 @@ class HeldOut:
         to; floor (J,) : noise of the residual [V]; noise : ((J,), (J,)), that of a row's voltage
         [V] and of a position [rad or m].
         """
-        points = {name: [m] * len(self.folds) if isinstance(m, Point) else self._points(m)
-                  for name, m in models.items()}
+        points = {
+            name: [m] * len(self.folds) if isinstance(m, Point) else self._points(m) for name, m in models.items()
+        }
         tables = {"held_out": self._table(points, floor, noise)}
         if len(self.folds) > 1:
             first = {name: p[:1] for name, p in points.items()}
@@ -117,12 +117,16 @@ class HeldOut:
 
     def _table(self, points, floor, noise) -> Errors:
         """Errors of models, by their points of the first of the folds."""
-        lengths = np.concatenate([fold.validation.lengths("held_out") for fold, _ in zip(
-            self.folds, points["augmented"])])
+        lengths = np.concatenate(
+            [fold.validation.lengths("held_out") for fold, _ in zip(self.folds, points["augmented"])]
+        )
         return Errors(
             StageErrors(**{name: self._volts(p) for name, p in points.items()}, floor=floor),
-            StageErrors(**{name: self._windows(p) for name, p in points.items()},
-                        floor=position_floor(self.folds[0].predictor, lengths, *noise)))
+            StageErrors(
+                **{name: self._windows(p) for name, p in points.items()},
+                floor=position_floor(self.folds[0].predictor, lengths, *noise),
+            ),
+        )
 
     def _points(self, model: Model) -> list[Point]:
         """The model as fitted without each of the folds."""
@@ -143,13 +147,17 @@ class HeldOut:
             free = left >= _LEFT_TO_FIT * (left + own[fold.predictor.held_rows].sum(axis=0))
             columns = np.r_[np.ones(told, dtype=bool), free]
             found = PredictionFit(fold.predictor, model.weighting).run(
-                point, (), known=white[fold.predictor.fit_rows][:, columns],
+                point,
+                (),
+                known=white[fold.predictor.fit_rows][:, columns],
                 known_free=tuple(pair for pair, is_free in zip(names, free) if is_free),
-                rounds=_ROUNDS)
+                rounds=_ROUNDS,
+            )
             if found is None:
                 return point
-            return found.point if free.all() else _followed(whole, model.fitted, white[whole.rows],
-                                                            columns, found.point)
+            return (
+                found.point if free.all() else _followed(whole, model.fitted, white[whole.rows], columns, found.point)
+            )
 
         found = self._fitted[model.key] = each(without, self.folds)
         return found
@@ -159,11 +167,18 @@ class HeldOut:
 
     def _windows(self, points: Sequence[Point]) -> np.ndarray:
         """(J,) errors [rad or m] of the windows of the first of the folds."""
-        return rms(np.concatenate([fold.validation.window_errors(self._plant(point), "held_out")
-                                   for fold, point in zip(self.folds, points)]))
+        return rms(
+            np.concatenate(
+                [
+                    fold.validation.window_errors(self._plant(point), "held_out")
+                    for fold, point in zip(self.folds, points)
+                ]
+            )
+        )
 
     def _volts(self, points: Sequence[Point]) -> np.ndarray:
         """(J,) residual [V] at the rows that the first of the folds keep back."""
+
         def of(k: int) -> np.ndarray:
             return self.folds[k].validation.volts(self._plant(points[k]))
 
@@ -171,8 +186,7 @@ class HeldOut:
         return rms(np.concatenate(each(of, range(len(points)))), np.concatenate(rows))
 
 
-def _followed(fit: PredictionFit, whole: Fitted, jacobian: np.ndarray, free: np.ndarray,
-              point: Point) -> Point:
+def _followed(fit: PredictionFit, whole: Fitted, jacobian: np.ndarray, free: np.ndarray, point: Point) -> Point:
     """A model without one fold, its other parameters where the whole log has them beside those that
     are free in it: a limit of the current follows the drive's constants.
 
@@ -185,7 +199,6 @@ def _followed(fit: PredictionFit, whole: Fitted, jacobian: np.ndarray, free: np.
     normal = jacobian.T @ jacobian + np.diag(np.r_[np.ones(len(free) - len(names)), told])
     moved = fit.step_to(whole.point, point, names, sizes)
     step = np.zeros(len(free))
-    step[~free] = -np.linalg.solve(normal[np.ix_(~free, ~free)],
-                                   normal[np.ix_(~free, free)] @ moved[free])
+    step[~free] = -np.linalg.solve(normal[np.ix_(~free, ~free)], normal[np.ix_(~free, free)] @ moved[free])
     found = fit.stepped(point, step, names, sizes)
     return point if found is None else found

@@ -53,8 +53,9 @@ class Log:
 
     def __post_init__(self):
         if len(self.quantum) == 0:
-            object.__setattr__(self, "quantum", np.array(
-                [encoder_step(self.position[:, j]) for j in range(self.joints)]))
+            object.__setattr__(
+                self, "quantum", np.array([encoder_step(self.position[:, j]) for j in range(self.joints)])
+            )
 
     def __len__(self) -> int:
         return len(self.time)
@@ -81,17 +82,22 @@ def parse_columns(text: str) -> dict[str, str]:
     for entry in filter(str.strip, text.split(",")):
         channel, equals, column = (part.strip() for part in entry.partition("="))
         if not (channel and equals and column):
-            raise RecordingError(f"'{entry.strip()}'", where="columns",
-                                 expected="CHANNEL=COLUMN, such as voltage1=motor_V")
+            raise RecordingError(
+                f"'{entry.strip()}'", where="columns", expected="CHANNEL=COLUMN, such as voltage1=motor_V"
+            )
         if channel in columns:
-            raise RecordingError(f"channel '{channel}' stands twice", where="columns",
-                                 expected="each channel once")
+            raise RecordingError(f"channel '{channel}' stands twice", where="columns", expected="each channel once")
         columns[channel] = column
     return columns
 
 
-def read_log(path: str | os.PathLike, columns: Mapping[str, str] | None = None, joints: int = 3,
-             *, greatest_rows: int = GREATEST_ROWS) -> Log:
+def read_log(
+    path: str | os.PathLike,
+    columns: Mapping[str, str] | None = None,
+    joints: int = 3,
+    *,
+    greatest_rows: int = GREATEST_ROWS,
+) -> Log:
     """Read a CSV file or a bag (its directory or its .mcap file).
 
     Parameters
@@ -111,6 +117,7 @@ def read_log(path: str | os.PathLike, columns: Mapping[str, str] | None = None, 
         if columns:
             raise RecordingError("a map of columns", where=str(path), expected="none for a bag")
         from .bag_log import read_bag_log
+
         return read_bag_log(path, joints)
     return _read_csv(path, dict(columns or {}), joints, greatest_rows)
 
@@ -129,11 +136,10 @@ def encoder_step(position: np.ndarray) -> float:
     steps = np.abs(np.diff(position[np.isfinite(position)]))
     if steps.size < 20:
         return 0.0
-    steps = np.sort(steps[steps > 1e-9 * max(float(np.max(np.abs(position[np.isfinite(position)]))),
-                                             1e-12)])
+    steps = np.sort(steps[steps > 1e-9 * max(float(np.max(np.abs(position[np.isfinite(position)]))), 1e-12)])
     if steps.size < 20:
         return 0.0
-    step = float(steps[:max(1, steps.size // 50)].mean())
+    step = float(steps[: max(1, steps.size // 50)].mean())
     for reach in (1.5, 4.0, 15.0):
         near = steps[steps < reach * step]
         counts = np.round(near / step)
@@ -150,23 +156,24 @@ def _read_csv(path, columns, joints, greatest_rows) -> Log:
     places = [place for group in chosen.values() for place in group]
     blocks, lines, count = [], [], 0
     for block in rows.blocks(places):
-        blocks.append(block.values[:greatest_rows - count])
-        lines.append(block.lines[:greatest_rows - count])
+        blocks.append(block.values[: greatest_rows - count])
+        lines.append(block.lines[: greatest_rows - count])
         count += len(block.values)
         if count > greatest_rows:
-            notes.append(f"The file has more than {greatest_rows} rows; the first "
-                         f"{greatest_rows} were read. Cut the file to look at another stretch.")
+            notes.append(
+                f"The file has more than {greatest_rows} rows; the first "
+                f"{greatest_rows} were read. Cut the file to look at another stretch."
+            )
             break
     if count == 0:
         raise RecordingError("has no rows", where=str(path), expected="rows of numbers")
     table, lines = np.concatenate(blocks), np.concatenate(lines)
     if rows.cut and len(table) > 1:
-        notes.append(f"The last row (line {lines[-1]}) has no line end: it may be cut off and is "
-                     "left out.")
+        notes.append(f"The last row (line {lines[-1]}) has no line end: it may be cut off and is left out.")
         table, lines = table[:-1], lines[:-1]
     groups, first = {}, 0
     for group, found in chosen.items():
-        groups[group] = table[:, first:first + len(found)].copy()
+        groups[group] = table[:, first : first + len(found)].copy()
         first += len(found)
     time = groups.pop("time")[:, 0]
     if "enable" in groups and groups["enable"].shape[1] != joints:
@@ -181,13 +188,10 @@ def _choose(rows: CsvRows, columns, joints, path) -> tuple[dict[str, list[int]],
     known = ["time", "enable", *(c for group in GROUPS for c in channels(group, joints))]
     for channel, column in columns.items():
         if channel not in known:
-            raise RecordingError(f"unknown channel '{channel}'", where="columns",
-                                 expected=f"one of {', '.join(known)}")
+            raise RecordingError(f"unknown channel '{channel}'", where="columns", expected=f"one of {', '.join(known)}")
         if column not in rows.names:
-            raise RecordingError(f"no column '{column}' (asked for as {channel})", where=where,
-                                 expected=there)
-    taken = {channel: columns.get(channel, channel) for channel in known
-             if columns.get(channel, channel) in rows.names}
+            raise RecordingError(f"no column '{column}' (asked for as {channel})", where=where, expected=there)
+    taken = {channel: columns.get(channel, channel) for channel in known if columns.get(channel, channel) in rows.names}
     # a column that the map gives to another channel is not also the one of its own name
     for channel, column in list(taken.items()):
         if channel not in columns and column in columns.values():
@@ -195,18 +199,22 @@ def _choose(rows: CsvRows, columns, joints, path) -> tuple[dict[str, list[int]],
     used: dict[str, str] = {}
     for channel, column in taken.items():
         if rows.names.count(column) > 1:
-            raise RecordingError(f"column '{column}' stands twice", where=where,
-                                 expected="each column once")
+            raise RecordingError(f"column '{column}' stands twice", where=where, expected="each column once")
         both_enable = used.get(column, "").startswith("enable") and channel.startswith("enable")
         if column in used and not both_enable:
-            raise RecordingError(f"column '{column}' is both {used[column]} and {channel}",
-                                 where="columns", expected="a column of its own for each")
+            raise RecordingError(
+                f"column '{column}' is both {used[column]} and {channel}",
+                where="columns",
+                expected="a column of its own for each",
+            )
         used[column] = channel
     for channel in ("time", *(c for group in _REQUIRED for c in channels(group, joints))):
         if channel not in taken:
-            raise RecordingError(f"channel '{channel}' is missing", where=where,
-                                 expected=f"a column of that name or one given as "
-                                          f"{channel}=COLUMN; there are {', '.join(rows.names)}")
+            raise RecordingError(
+                f"channel '{channel}' is missing",
+                where=where,
+                expected=f"a column of that name or one given as {channel}=COLUMN; there are {', '.join(rows.names)}",
+            )
     return _grouped(rows, taken, columns, joints, where)
 
 
@@ -224,10 +232,11 @@ def _grouped(rows, taken, columns, joints, where) -> tuple[dict[str, list[int]],
     if not columns:
         for group in _REQUIRED:
             if f"{group}{joints + 1}" in rows.names:
-                raise RecordingError(f"column '{group}{joints + 1}'", where=where,
-                                     expected=f"a log of {joints} "
-                                              f"{'joint' if joints == 1 else 'joints'}, as the "
-                                              "plant has")
+                raise RecordingError(
+                    f"column '{group}{joints + 1}'",
+                    where=where,
+                    expected=f"a log of {joints} {'joint' if joints == 1 else 'joints'}, as the plant has",
+                )
     others = [name for place, name in enumerate(rows.names) if place not in used]
     if others:
         notes.append(f"Columns that are not used: {', '.join(others)}.")

@@ -56,8 +56,10 @@ def intervals(fit: PredictionFit, fitted: Fitted) -> dict:
     known = list(zip(*deviations(fit, fitted)))
     sides = [(k, sign) for k in range(len(known)) for sign in (-1.0, 1.0)]
     ends = each(lambda side: _end(fit, fitted, *side, *known[side[0]]), sides)
-    return {(number, name): (fitted.point.effects[number].values[name], *ends[2 * k:2 * k + 2])
-            for k, (number, name) in enumerate(fitted.names)}
+    return {
+        (number, name): (fitted.point.effects[number].values[name], *ends[2 * k : 2 * k + 2])
+        for k, (number, name) in enumerate(fitted.names)
+    }
 
 
 def _end(fit, fitted, k, sign, spread, wider) -> float:
@@ -79,7 +81,7 @@ def _profile(fit, fitted, k, sign, spread, wider) -> float:
     others = tuple(pair for n, pair in enumerate(fitted.names) if n != k)
     at = fitted.jacobian.shape[1] - len(fitted.names) + k
     known = np.delete(fitted.jacobian, at, axis=1)
-    enough, before = 0.5 * _NORMAL ** 2 * wider, (0.0, 0.0)
+    enough, before = 0.5 * _NORMAL**2 * wider, (0.0, 0.0)
     for share in _SHARES:
         reach = share * _NORMAL * spread
         value = effect.values[name] + sign * reach
@@ -90,8 +92,7 @@ def _profile(fit, fitted, k, sign, spread, wider) -> float:
             effects[number] = Effect(effect.kind, effect.joint, {**effect.values, name: value})
         except ParameterError:
             break
-        moved = fit.run(Point(fitted.point.theta, tuple(effects)), (), known=known,
-                        known_free=others, rounds=3)
+        moved = fit.run(Point(fitted.point.theta, tuple(effects)), (), known=known, known_free=others, rounds=3)
         fall = np.inf if moved is None else moved.objective - fitted.objective
         if fall >= enough:
             # between two points the likelihood falls with the square

@@ -19,9 +19,16 @@ from .separation import Judge, Suspect
 _LOOKS, _SECONDS = 6, 5.0
 
 
-def next_experiment(mechanism: Mechanism, ties: Iterable[tuple], not_excited: Iterable,
-                    log_name: str, *, plant: str | None = None, parameters: str | None = None,
-                    model: str | None = None) -> NextExperiment | None:
+def next_experiment(
+    mechanism: Mechanism,
+    ties: Iterable[tuple],
+    not_excited: Iterable,
+    log_name: str,
+    *,
+    plant: str | None = None,
+    parameters: str | None = None,
+    model: str | None = None,
+) -> NextExperiment | None:
     """The first tie, else the first effect that the log did not excite, and how to get at it.
 
     Parameters
@@ -39,11 +46,9 @@ def next_experiment(mechanism: Mechanism, ties: Iterable[tuple], not_excited: It
     -------
     None where nothing is left open that a motion could show.
     """
-    source = [("--plant", plant or mechanism.name), ("--parameters", parameters),
-              ("--model", model)]
+    source = [("--plant", plant or mechanism.name), ("--parameters", parameters), ("--model", model)]
     for first, second in ties:
-        if (_can_be_shown(first, mechanism) and _can_be_shown(second, mechanism)
-                and not _within(first, second)):
+        if _can_be_shown(first, mechanism) and _can_be_shown(second, mechanism) and not _within(first, second):
             return _made(mechanism, source, log_name, _hypothesis(first), _hypothesis(second))
     wanted = [each for each in not_excited if _can_be_shown(each, mechanism)]
     for each in sorted(wanted, key=lambda each: each.joint is None):
@@ -64,15 +69,13 @@ def _hypothesis(each) -> Hypothesis:
 def _can_be_shown(each, mechanism: Mechanism) -> bool:
     """Whether a motion brings the effect out: a blow is none, nor what a mechanism cannot have."""
     kind = KINDS.get(each.name)
-    return (kind is not None and kind.screening is not None and each.name != "impulse"
-            and mechanism.possible(each.name))
+    return kind is not None and kind.screening is not None and each.name != "impulse" and mechanism.possible(each.name)
 
 
 def _within(first, second) -> bool:
     """Whether the first is a special case of the second, on one joint: then every record that the
     first explains, the second explains as well, and the simpler name stands."""
-    return (first.joint == second.joint
-            and first.name in KINDS[second.name].screening.contains)
+    return first.joint == second.joint and first.name in KINDS[second.name].screening.contains
 
 
 def _has_columns(each, mechanism: Mechanism) -> bool:
@@ -81,17 +84,16 @@ def _has_columns(each, mechanism: Mechanism) -> bool:
     suspect = Suspect(KINDS[each.name], None if each.joint is None else each.joint - 1)
     judge, rng = Judge(builder, (suspect,)), np.random.default_rng(0)
     wanted = frozenset(range(mechanism.joints))
-    return any(judge.shown(0, motion) for motion in
-               (builder.plain(), *(builder.random(rng, wanted) for _ in range(_LOOKS))))
+    return any(
+        judge.shown(0, motion) for motion in (builder.plain(), *(builder.random(rng, wanted) for _ in range(_LOOKS)))
+    )
 
 
-def _made(mechanism, source, log_name: str, first: Hypothesis,
-          second: Hypothesis | None = None) -> NextExperiment:
+def _made(mechanism, source, log_name: str, first: Hypothesis, second: Hypothesis | None = None) -> NextExperiment:
     joints = mechanism.joints
     if second is None:
         need = KINDS[first.name].screening.excitation
-        sentence = (f"{log_name} could not have shown {_words(first, joints)}. What shows it: "
-                    f"{_lower(need)}")
+        sentence = f"{log_name} could not have shown {_words(first, joints)}. What shows it: {_lower(need)}"
         separate = (first,)
     else:
         sentence = f"{log_name} cannot tell {_words(first, joints)} from {_words(second, joints)}"
@@ -100,8 +102,10 @@ def _made(mechanism, source, log_name: str, first: Hypothesis,
         needs = dict.fromkeys(KINDS[each.name].screening.excitation for each in (first, second))
         sentence += "What tells them apart: " + " And: ".join(_lower(need) for need in needs)
         separate = (first, second)
-    sentence += (" The command writes voltages for that; start at rest in the pose that the file "
-                 "names, record, and explain both logs together.")
+    sentence += (
+        " The command writes voltages for that; start at rest in the pose that the file "
+        "names, record, and explain both logs together."
+    )
     words = ["puma-sim", "excite"]
     for option, value in source:
         if value is not None:

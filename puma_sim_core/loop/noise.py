@@ -54,18 +54,25 @@ def sources(sampled: Sampled, stiffness: float, emf: float, lag: float, most: in
     w = 2j * np.pi * f
     second = filters.response(f, sampled.cutoffs[1]) ** 2
     first = filters.response(f, sampled.cutoffs[0])
-    to_volts = np.abs((stiffness * w ** 2 * (1.0 + lag * w) + emf * w) * first) ** 2
+    to_volts = np.abs((stiffness * w**2 * (1.0 + lag * w) + emf * w) * first) ** 2
     one = np.full(len(f), 2.0 * step)
     parts = [one, one * to_volts]
     for time in _LASTING:
         parts.append(4.0 * time / (1.0 + (2.0 * np.pi * f * time) ** 2))
     spectra = np.array(parts) * second
     covariances = np.fft.irfft(spectra, n, axis=1) * (0.5 / step)
-    return Sources(f, spectra, covariances[:, :most * sampled.every:sampled.every])
+    return Sources(f, spectra, covariances[:, : most * sampled.every : sampled.every])
 
 
-def fit_weights(source: Sources, sampled: Sampled, residual: np.ndarray, usable: np.ndarray,
-                stretches, budget: np.ndarray, white_only: bool = False) -> np.ndarray:
+def fit_weights(
+    source: Sources,
+    sampled: Sampled,
+    residual: np.ndarray,
+    usable: np.ndarray,
+    stretches,
+    budget: np.ndarray,
+    white_only: bool = False,
+) -> np.ndarray:
     """Weights (k,) of the sources for a residual at the kept rows.
 
     residual (m,) [V]; usable (m,): rows that count; stretches: slices of kept rows that are
@@ -81,21 +88,19 @@ def fit_weights(source: Sources, sampled: Sampled, residual: np.ndarray, usable:
             continue
         y = np.where(good, y, 0.0)
         taper = np.hanning(n) * good
-        power = np.abs(np.fft.rfft(y * taper)) ** 2 * 2.0 * step / (taper ** 2).sum()
+        power = np.abs(np.fft.rfft(y * taper)) ** 2 * 2.0 * step / (taper**2).sum()
         bands.append((np.fft.rfftfreq(n, step), power))
     edges = [0.0]
     top = min(1.15 * sampled.cutoffs[1], 0.45 / step)
     lines = np.concatenate([f for f, _ in bands]) if bands else np.zeros(0)
     while edges[-1] < top:
         width = _BAND
-        while ((lines > edges[-1]) & (lines <= edges[-1] + width)).sum() < _LEAST_LINES \
-                and edges[-1] + width < top:
+        while ((lines > edges[-1]) & (lines <= edges[-1] + width)).sum() < _LEAST_LINES and edges[-1] + width < top:
             width += _BAND
         edges.append(edges[-1] + width)
     measured, design = [], []
     for low, high in zip(edges, edges[1:]):
-        inside = np.concatenate([p[(f > low) & (f <= high)] for f, p in bands]) \
-            if bands else np.zeros(0)
+        inside = np.concatenate([p[(f > low) & (f <= high)] for f, p in bands]) if bands else np.zeros(0)
         if len(inside) < _LEAST_LINES // 2:
             continue
         measured.append(np.median(inside) / np.log(2.0))
@@ -140,21 +145,19 @@ class Whitener:
             L = cholesky(C, lower=True)
             self._blocks.append((start, stop, L))
             start = stop
-        self.log_determinant = 2.0 * sum(float(np.log(np.diag(L)).sum())
-                                         for _, _, L in self._blocks)
+        self.log_determinant = 2.0 * sum(float(np.log(np.diag(L)).sum()) for _, _, L in self._blocks)
 
     def __call__(self, values: np.ndarray) -> np.ndarray:
         """Whitened rows (m, ...) of an array over all kept rows."""
         out = np.empty((len(self.rows), *values.shape[1:]))
         for start, stop, L in self._blocks:
-            out[start:stop] = solve_triangular(L, values[self.rows[start:stop]], lower=True,
-                                               check_finite=False)
+            out[start:stop] = solve_triangular(L, values[self.rows[start:stop]], lower=True, check_finite=False)
         return out
 
 
 def least_weights(sampled: Sampled, joint: int, number: int) -> np.ndarray:
     """Budget (k,): what white noise [V] and rounding leave at least."""
     budget = np.zeros(number)
-    budget[0] = _LEAST ** 2
+    budget[0] = _LEAST**2
     budget[1] = max(sampled.position_noise[joint], 0.0) ** 2
     return budget

@@ -11,8 +11,20 @@ import numpy as np
 from ..effects import KINDS
 from ..effects.columns import EXACT_TIES
 from .next_experiment import next_experiment
-from .result import (NAMED, NAMED_WITH_REMAINDER, NOTHING_MISSING, UNNAMED, Drawn, Explanation,
-                     Fault, Hypothesis, Interval, NamedEffect, Ranked, RuledOut)
+from .result import (
+    NAMED,
+    NAMED_WITH_REMAINDER,
+    NOTHING_MISSING,
+    UNNAMED,
+    Drawn,
+    Explanation,
+    Fault,
+    Hypothesis,
+    Interval,
+    NamedEffect,
+    Ranked,
+    RuledOut,
+)
 from .selected import LEAST_GAIN
 from .shape import describe
 from .trials import tied
@@ -41,8 +53,9 @@ def fault_sentence(faults: list[Fault]) -> str:
     return f"The data cannot be used: {first.channel}{row}: {first.what}{more}."
 
 
-def compose(analysis, errors, residuals, shapes, chance, detect, bias, spread, model, notes, begin,
-            common) -> Explanation:
+def compose(
+    analysis, errors, residuals, shapes, chance, detect, bias, spread, model, notes, begin, common
+) -> Explanation:
     """The explanation from all stages."""
     s = analysis.selected
     names = _named(analysis, spread)
@@ -61,12 +74,23 @@ def compose(analysis, errors, residuals, shapes, chance, detect, bias, spread, m
     found = {(e.name, e.joint) for e in names}
     unseen = [d for d in detect if not d.excited and (d.name, d.joint) not in found]
     return Explanation(
-        verdict, _sentence(verdict, names, curve, errors, m), names, errors, curve, (),
-        tuple(detect), next_experiment(m, ties, unseen, common["logs"][0], **analysis.source),
+        verdict,
+        _sentence(verdict, names, curve, errors, m),
+        names,
+        errors,
+        curve,
+        (),
+        tuple(detect),
+        next_experiment(m, ties, unseen, common["logs"][0], **analysis.source),
         bias,
-        _ranking(s, names), (*notes, *_exact_ties(names), *_strained(m, s)),
-        _drawn(analysis, residuals), model,
-        parameters=_parameters(m, s), seconds=clock.perf_counter() - begin, **common)
+        _ranking(s, names),
+        (*notes, *_exact_ties(names), *_strained(m, s)),
+        _drawn(analysis, residuals),
+        model,
+        parameters=_parameters(m, s),
+        seconds=clock.perf_counter() - begin,
+        **common,
+    )
 
 
 def _named(analysis, spread) -> tuple[NamedEffect, ...]:
@@ -96,8 +120,7 @@ def _named(analysis, spread) -> tuple[NamedEffect, ...]:
             joint = key[1] if other in KINDS and KINDS[other].per_joint else None
             if other in KINDS and (other, joint) not in seen and (other, joint) not in s.keys:
                 out.append(RuledOut(other, joint, f"the screening gave it no evidence; {text}"))
-        named.append(NamedEffect(key[0], key[1], parameters, float(own.gain),
-                                 tuple(ties), tuple(out)))
+        named.append(NamedEffect(key[0], key[1], parameters, float(own.gain), tuple(ties), tuple(out)))
     return tuple(named)
 
 
@@ -144,30 +167,35 @@ def _axis_name(curve) -> str:
 
 def _sentence(verdict, names, curve, errors, mechanism) -> str:
     held = errors["held_out"].voltage_rms
+
     def change(joint):
         js = range(len(held.retuned)) if joint is None else [joint - 1]
         before = np.sqrt(np.mean([held.retuned[j] ** 2 for j in js]))
         after = np.sqrt(np.mean([held.augmented[j] ** 2 for j in js]))
         return f"{before:.3g} to {after:.3g} V"
+
     if verdict == NOTHING_MISSING:
-        return ("Nothing is missing that this log could show: with retuned parameters the model "
-                "explains it down to its noise.")
+        return (
+            "Nothing is missing that this log could show: with retuned parameters the model "
+            "explains it down to its noise."
+        )
     if verdict == UNNAMED:
-        what = (f"a line at {curve.line_hz:.2f} Hz" if curve.line_hz is not None
-                else f"a curve over {curve.axis} {curve.way}".rstrip())
-        return (f"Something is missing on joint {curve.joint} that no effect of the library "
-                f"explains: {what}.")
+        what = (
+            f"a line at {curve.line_hz:.2f} Hz"
+            if curve.line_hz is not None
+            else f"a curve over {curve.axis} {curve.way}".rstrip()
+        )
+        return f"Something is missing on joint {curve.joint} that no effect of the library explains: {what}."
     parts = []
     for e in names:
         where = "the whole arm" if e.joint is None else f"joint {e.joint}"
-        size = ", ".join(f"{n} {i.value:.3g} {i.unit if i.unit != '1' else ''}".strip()
-                         for n, i in e.parameters.items())
-        parts.append(f"{e.name} on {where} ({size}; the error on held-out rows falls from "
-                     f"{change(e.joint)})")
+        size = ", ".join(
+            f"{n} {i.value:.3g} {i.unit if i.unit != '1' else ''}".strip() for n, i in e.parameters.items()
+        )
+        parts.append(f"{e.name} on {where} ({size}; the error on held-out rows falls from {change(e.joint)})")
     text = f"The model lacks {' and '.join(parts)}"
     if verdict == NAMED_WITH_REMAINDER:
-        text += (f"; beside that something over {curve.axis} of joint {curve.joint} is left that "
-                 f"has no name")
+        text += f"; beside that something over {curve.axis} of joint {curve.joint} is left that has no name"
     return text + "."
 
 
@@ -189,8 +217,7 @@ def _refused(s, stage, t) -> str:
     if t.problem is not None:
         return t.problem
     if t.key in s.retracted:
-        return ("retracted: the error held out is not lower with it, or a free curve leaves "
-                "clearly less")
+        return "retracted: the error held out is not lower with it, or a free curve leaves clearly less"
     if best is not None and best.key not in s.retracted and tied(best, t):
         return "tied"
     if t.gain <= stage.needed(t.joint):
@@ -204,8 +231,11 @@ def _refused(s, stage, t) -> str:
 
 def _exact_ties(names) -> list[str]:
     found = {e.name for e in names}
-    return [f"{one} and {other} are the same in a log of voltage and position: {why}."
-            for one, other, why in EXACT_TIES if one in found or other in found]
+    return [
+        f"{one} and {other} are the same in a log of voltage and position: {why}."
+        for one, other, why in EXACT_TIES
+        if one in found or other in found
+    ]
 
 
 def _strained(m, s) -> list[str]:
@@ -216,15 +246,16 @@ def _strained(m, s) -> list[str]:
         return []
     words = ", ".join(f"{name} by {x:+.1f}" for _, name, x in sorted(found, reverse=True)[:4])
     more = f" and {len(found) - 4} more" if len(found) > 4 else ""
-    return [f"Parameters are farther from their start than their priors allow ({words}{more} "
-            "standard deviations): the start values are of another machine, or parameters have "
-            "taken up what looks like them, such as a payload."]
+    return [
+        f"Parameters are farther from their start than their priors allow ({words}{more} "
+        "standard deviations): the start values are of another machine, or parameters have "
+        "taken up what looks like them, such as a payload."
+    ]
 
 
 def _parameters(m, s) -> dict:
     theta = s.final.point.theta
-    return {p.name: (float(p.value), float(value), p.unit, float(p.deviation))
-            for p, value in zip(m.free, theta)}
+    return {p.name: (float(p.value), float(value), p.unit, float(p.deviation)) for p, value in zip(m.free, theta)}
 
 
 def _drawn(analysis, residuals) -> Drawn:
@@ -232,8 +263,7 @@ def _drawn(analysis, residuals) -> Drawn:
     s, theta = p.sampled, analysis.selected.final.point.theta
     signals = p.signals(theta)
     rows = np.concatenate([stretch.time[1:] for stretch in analysis.predictor.stretches])
-    log = np.concatenate([np.full(len(stretch.time) - 1, n)
-                          for n, stretch in enumerate(analysis.predictor.stretches)])
+    log = np.concatenate([np.full(len(stretch.time) - 1, n) for n, stretch in enumerate(analysis.predictor.stretches)])
     kept, nearest, start, offsets = p.kept, np.empty(len(p.kept), dtype=int), 0.0, []
     for number, part in enumerate(p.stretches):
         own = np.flatnonzero(log == number)
@@ -241,16 +271,25 @@ def _drawn(analysis, residuals) -> Drawn:
         nearest[part] = own[np.clip(np.searchsorted(rows[own], time), 0, len(own) - 1)]
         offsets.append(start + time - time[0])
         start = offsets[-1][-1] + 1.0
-    series = {"position": signals.position, "velocity": signals.velocity,
-              "acceleration": signals.acceleration, "voltage": signals.voltage,
-              "torque": signals.torque, "gravity_torque": signals.gravity_torque,
-              "link_torque": signals.link_torque, "current": signals.current,
-              "motor_angle": np.mod(signals.position * signals.gear, 2.0 * np.pi),
-              "supply_current": np.repeat(np.abs(signals.current).sum(axis=1, keepdims=True),
-                                          s.joints, axis=1)}
-    return Drawn(np.concatenate(offsets), *(residuals[name][nearest] for name in (
-        "nominal", "retuned", "augmented")), {name: a[kept] for name, a in series.items()},
-        p.held.astype(float), _whiteness(analysis))
+    series = {
+        "position": signals.position,
+        "velocity": signals.velocity,
+        "acceleration": signals.acceleration,
+        "voltage": signals.voltage,
+        "torque": signals.torque,
+        "gravity_torque": signals.gravity_torque,
+        "link_torque": signals.link_torque,
+        "current": signals.current,
+        "motor_angle": np.mod(signals.position * signals.gear, 2.0 * np.pi),
+        "supply_current": np.repeat(np.abs(signals.current).sum(axis=1, keepdims=True), s.joints, axis=1),
+    }
+    return Drawn(
+        np.concatenate(offsets),
+        *(residuals[name][nearest] for name in ("nominal", "retuned", "augmented")),
+        {name: a[kept] for name, a in series.items()},
+        p.held.astype(float),
+        _whiteness(analysis),
+    )
 
 
 def _whiteness(analysis) -> dict:
@@ -264,11 +303,11 @@ def _whiteness(analysis) -> dict:
         n = len(e) // block
         if n < 20:
             continue
-        e = e[:n * block].reshape(n, block).sum(axis=1)
+        e = e[: n * block].reshape(n, block).sum(axis=1)
         most = min(int(_LAGS / (step * block)), n // 3)
         power = float(e @ e)
         if not power > 0.0:
             continue
-        acf = np.array([float(e[k:] @ e[:n - k]) / power for k in range(1, most + 1)])
+        acf = np.array([float(e[k:] @ e[: n - k]) / power for k in range(1, most + 1)])
         out[j + 1] = (np.arange(1, most + 1) * step * block, acf, 1.96 / np.sqrt(n))
     return out

@@ -40,8 +40,9 @@ def check_folder(folder: str | os.PathLike, inputs: Iterable[str | os.PathLike] 
             raise RecordingError("is a folder", where=str(path), expected="a file, or nothing")
         for other in inputs:
             if path.exists() and os.path.exists(other) and os.path.samefile(path, other):
-                raise RecordingError("is an input and would be overwritten", where=str(path),
-                                     expected="another folder for the report")
+                raise RecordingError(
+                    "is an input and would be overwritten", where=str(path), expected="another folder for the report"
+                )
 
 
 def write_explanation(explanation: Explanation, folder: str | os.PathLike) -> list[Path]:
@@ -62,8 +63,7 @@ def write_explanation(explanation: Explanation, folder: str | os.PathLike) -> li
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as reason:
-        raise RecordingError(f"cannot be made ({reason.strerror})", where=str(folder),
-                             expected=_EXPECTED) from None
+        raise RecordingError(f"cannot be made ({reason.strerror})", where=str(folder), expected=_EXPECTED) from None
     with ExitStack() as stack:
         # each takes its place when all are on the disk
         for name, content in texts.items():

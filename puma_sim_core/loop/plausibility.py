@@ -57,25 +57,31 @@ class Coarse:
         """Number of joints."""
         return self.position.shape[1]
 
-    def changed(self, *, positions=None, scale=1.0, offset=0.0, voltages=None, volts=1.0,
-                clock: float = 1.0) -> Coarse:
+    def changed(self, *, positions=None, scale=1.0, offset=0.0, voltages=None, volts=1.0, clock: float = 1.0) -> Coarse:
         """With position columns in another order, times `scale`, plus `offset`; voltage columns in
         another order, times `volts`; and time times `clock`. scale, offset, volts: (J,) or one."""
         p = slice(None) if positions is None else list(positions)
         v = slice(None) if voltages is None else list(voltages)
-        return replace(self, voltage=self.voltage[:, v] * volts,
-                       voltage_rate=self.voltage_rate[:, v] * volts / clock,
-                       position=self.position[:, p] * scale + offset,
-                       velocity=self.velocity[:, p] * scale / clock,
-                       acceleration=self.acceleration[:, p] * scale / clock ** 2)
+        return replace(
+            self,
+            voltage=self.voltage[:, v] * volts,
+            voltage_rate=self.voltage_rate[:, v] * volts / clock,
+            position=self.position[:, p] * scale + offset,
+            velocity=self.velocity[:, p] * scale / clock,
+            acceleration=self.acceleration[:, p] * scale / clock**2,
+        )
 
     def thinned(self, rows: int) -> Coarse:
         """With every so many rows left out that there are about `rows`."""
         every = max(1, len(self.voltage) // rows)
-        return replace(self, step=self.step * every,
-                       **{name: getattr(self, name)[::every] for name in
-                          ("voltage", "voltage_rate", "position", "velocity", "acceleration",
-                           "enable")})
+        return replace(
+            self,
+            step=self.step * every,
+            **{
+                name: getattr(self, name)[::every]
+                for name in ("voltage", "voltage_rate", "position", "velocity", "acceleration", "enable")
+            },
+        )
 
 
 def coarse(log, cutoff: float = _CUTOFF) -> Coarse | None:
@@ -93,9 +99,8 @@ def coarse(log, cutoff: float = _CUTOFF) -> Coarse | None:
     def even(values):
         return np.column_stack([np.interp(at, log.time, column) for column in values.T])
 
-    volts, rate = filters.low_pass(even(np.where(enable > 0.5, log.voltage, 0.0)), step, cutoff,
-                                   (0, 1))
-    enable, = filters.low_pass(even(enable), step, cutoff)
+    volts, rate = filters.low_pass(even(np.where(enable > 0.5, log.voltage, 0.0)), step, cutoff, (0, 1))
+    (enable,) = filters.low_pass(even(enable), step, cutoff)
     q, qd, qdd = filters.low_pass(even(log.position), step, cutoff, (0, 1, 2))
     margin = int(0.5 * filters.edge(cutoff) / step)
     every = max(1, int(0.15 / (cutoff * step)), (n - 2 * margin) // _ROWS)
@@ -134,8 +139,7 @@ class Plausibility:
     def moving(self, c: Coarse, joint: int) -> np.ndarray:
         """(n,) where a joint moves under power."""
         speed = np.abs(c.velocity[:, joint])
-        slow = ((self.speed[joint] * speed < _SLOW * self.unit[joint])
-                | (speed < _SLOW_SHARE * float(speed.max())))
+        slow = (self.speed[joint] * speed < _SLOW * self.unit[joint]) | (speed < _SLOW_SHARE * float(speed.max()))
         reach = max(1, int(0.5 / (_CUTOFF * c.step)))
         near = np.convolve(slow, np.ones(2 * reach + 1), "same") > 0.5
         return ~near & (c.enable[:, joint] > 0.99)
@@ -155,18 +159,19 @@ class Plausibility:
         table, wanted = columns[counted] / sizes, volts[counted]
         # a triangle of the same normal equations: quick for any number of rows
         triangle = np.linalg.qr(np.column_stack([table, wanted]), mode="r")
-        x = lsq_linear(triangle[:, :-1], triangle[:, -1], (low * sizes, high * sizes),
-                       method="bvls").x / sizes
+        x = lsq_linear(triangle[:, :-1], triangle[:, -1], (low * sizes, high * sizes), method="bvls").x / sizes
         residual = volts - columns @ x
-        dry = unit * x[_DRY_COLUMN] + x[_DRY_COLUMN + 1] * float(np.abs(columns[
-            counted, _DRY_COLUMN + 1]).max())
-        return Fit(int(counted.sum()), _rms(residual[counted]), float(np.std(wanted)),
-                   float(max(dry, 0.0)), residual, counted)
+        dry = unit * x[_DRY_COLUMN] + x[_DRY_COLUMN + 1] * float(np.abs(columns[counted, _DRY_COLUMN + 1]).max())
+        return Fit(
+            int(counted.sum()), _rms(residual[counted]), float(np.std(wanted)), float(max(dry, 0.0)), residual, counted
+        )
 
     def torques(self, c: Coarse) -> tuple[np.ndarray, np.ndarray]:
         """(n, J) torque of the links, and the part of gravity."""
-        return (self.mechanism.torque(self.theta, c.position, c.velocity, c.acceleration),
-                self.mechanism.gravity(self.theta, c.position))
+        return (
+            self.mechanism.torque(self.theta, c.position, c.velocity, c.acceleration),
+            self.mechanism.gravity(self.theta, c.position),
+        )
 
     def _at_rest(self, c: Coarse, joint: int, torque: np.ndarray) -> Fit:
         """A joint that does not move: volts beyond those that friction holds are left over."""
@@ -175,32 +180,36 @@ class Plausibility:
         beyond = np.sign(beyond) * np.maximum(np.abs(beyond) - _HELD * self.unit[joint], 0.0)
         if not counted.any():
             return Fit(0, 0.0, 0.0, None, beyond, counted)
-        return Fit(0, _rms(beyond[counted]), float(np.std(c.voltage[counted, joint])), None,
-                   beyond, counted)
+        return Fit(0, _rms(beyond[counted]), float(np.std(c.voltage[counted, joint])), None, beyond, counted)
 
     def _columns(self, c: Coarse, joint: int, torque: np.ndarray, weight: np.ndarray):
         """Columns (n, p) [V] of a joint's voltage, and the bounds (p,) of their factors."""
         k, unit = self.k[joint], self.unit[joint]
         q, v = c.position[:, joint], c.velocity[:, joint]
         gravity = k * weight
-        inertial = k * (torque[:, joint] - weight[:, joint]
-                        + self.drive.motor_inertia[joint] * c.acceleration[:, joint])
+        inertial = k * (
+            torque[:, joint] - weight[:, joint] + self.drive.motor_inertia[joint] * c.acceleration[:, joint]
+        )
         speed = self.speed[joint] * v
         fastest, reach = float(np.abs(v).max()) or 1.0, float(np.ptp(q)) or 1.0
         sign = np.tanh(v / (_DRY_WIDTH * fastest))
         factor = _EMF if self.drive.emf[joint] > 0.0 else _INERTIAL
-        listed = [(inertial, _INERTIAL), (gravity[:, joint], _GRAVITY), (speed, factor),
-                  (speed * np.abs(v) / fastest, _DRAG), (unit * sign, _DRY),
-                  (np.abs(gravity[:, joint]) * sign, (0.0, 0.5)),
-                  (np.full(len(v), unit), (-_OFFSET, _OFFSET)),
-                  (unit * (q - q.mean()) / reach, (-_OFFSET, _OFFSET))]
+        listed = [
+            (inertial, _INERTIAL),
+            (gravity[:, joint], _GRAVITY),
+            (speed, factor),
+            (speed * np.abs(v) / fastest, _DRAG),
+            (unit * sign, _DRY),
+            (np.abs(gravity[:, joint]) * sign, (0.0, 0.5)),
+            (np.full(len(v), unit), (-_OFFSET, _OFFSET)),
+            (unit * (q - q.mean()) / reach, (-_OFFSET, _OFFSET)),
+        ]
         for share in _STOPS:
-            listed.append((unit * np.maximum(q - (q.max() - share * reach), 0.0) / reach,
-                           (0.0, np.inf)))
-            listed.append((unit * np.minimum(q - (q.min() + share * reach), 0.0) / reach,
-                           (0.0, np.inf)))
-        listed += [(gravity[:, other], _OTHERS) for other in range(c.joints)
-                   if other != joint and np.any(gravity[:, other])]
+            listed.append((unit * np.maximum(q - (q.max() - share * reach), 0.0) / reach, (0.0, np.inf)))
+            listed.append((unit * np.minimum(q - (q.min() + share * reach), 0.0) / reach, (0.0, np.inf)))
+        listed += [
+            (gravity[:, other], _OTHERS) for other in range(c.joints) if other != joint and np.any(gravity[:, other])
+        ]
         columns, limits = zip(*listed)
         low, high = zip(*limits)
         return np.column_stack(columns), np.array(low), np.array(high)
@@ -222,4 +231,4 @@ class Plausibility:
 
 
 def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values ** 2)))
+    return float(np.sqrt(np.mean(values**2)))

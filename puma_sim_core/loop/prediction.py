@@ -31,8 +31,21 @@ _DIFFERENCE, _EFFECT_DIFFERENCE = 0.05, 0.01
 #: what is told of a parameter of an effect, per its size, where nothing is
 _LEAST_TOLD = 1e-4
 #: what a parameter of an effect near zero counts as, by its unit
-_TYPICAL = {"rad": 0.02, "s": 1e-3, "V": 0.1, "N.m": 1.0, "1": 0.1, "A": 1.0, "kg": 0.3, "m": 0.1,
-            "rad/s": 0.05, "N.m/rad": 5.0, "N.m.s/rad": 1.0, "1/A": 1e-3, "N.m.s2/rad2": 1.0}
+_TYPICAL = {
+    "rad": 0.02,
+    "s": 1e-3,
+    "V": 0.1,
+    "N.m": 1.0,
+    "1": 0.1,
+    "A": 1.0,
+    "kg": 0.3,
+    "m": 0.1,
+    "rad/s": 0.05,
+    "N.m/rad": 5.0,
+    "N.m.s/rad": 1.0,
+    "1/A": 1e-3,
+    "N.m.s2/rad2": 1.0,
+}
 
 
 #: greatest step of a parameter of an effect, in its sizes
@@ -43,15 +56,27 @@ _FINISHED, _REFITS = 2.0, 2
 #: rounds of a fit from the start values
 _FROM_START = 6
 #: (effect, parameter) -> how far it must move to matter, or the parameter that says so
-_MATTERS = {("soft_stop", "lower"): 0.02, ("soft_stop", "upper"): 0.02,
-            ("impulse", "time"): "width", ("transmission_error", "order"): 1.0,
-            ("voltage_saturation", "voltage"): 1.0, ("current_limit", "current"): 0.2}
+_MATTERS = {
+    ("soft_stop", "lower"): 0.02,
+    ("soft_stop", "upper"): 0.02,
+    ("impulse", "time"): "width",
+    ("transmission_error", "order"): 1.0,
+    ("voltage_saturation", "voltage"): 1.0,
+    ("current_limit", "current"): 0.2,
+}
 #: (effect, parameter) that say how fast or how stiff, not how much: a fit moves their logarithms. A
 #: step by so many of their sizes would end at nothing of them, and stay there
-_SCALES = frozenset({
-    ("friction_warm_up", "time_constant"), ("resistance_drift", "time_constant"),
-    ("stribeck_friction", "velocity"), ("presliding_friction", "stiffness"),
-    ("joint_elasticity", "stiffness"), ("backlash", "stiffness"), ("impulse", "width")})
+_SCALES = frozenset(
+    {
+        ("friction_warm_up", "time_constant"),
+        ("resistance_drift", "time_constant"),
+        ("stribeck_friction", "velocity"),
+        ("presliding_friction", "stiffness"),
+        ("joint_elasticity", "stiffness"),
+        ("backlash", "stiffness"),
+        ("impulse", "width"),
+    }
+)
 
 
 @dataclass(frozen=True)
@@ -70,8 +95,8 @@ class Point:
     def key(self) -> tuple:
         """What tells it from any other, to the bit."""
         return self.theta.tobytes(), tuple(
-            (effect.kind.name, effect.joint, *sorted(effect.values.items()))
-            for effect in self.effects)
+            (effect.kind.name, effect.joint, *sorted(effect.values.items())) for effect in self.effects
+        )
 
 
 @dataclass(frozen=True)
@@ -112,7 +137,7 @@ class PredictionFit:
         they tell of each."""
         known = np.array([self._prior(point.effects[number], name) for number, name in pairs])
         far, told = known.reshape(-1, 2).T
-        return far * told, _LEAST_TOLD + told ** 2
+        return far * told, _LEAST_TOLD + told**2
 
     def _prior(self, effect: Effect, name: str) -> tuple[float, float]:
         """How many deviations the logarithm of a parameter is off, and how many of them are one;
@@ -134,22 +159,21 @@ class PredictionFit:
         mechanism's parameters over.
         """
         if near is not None and point.heavy:
-            return self._derived(point, pairs, near[:, :, :len(point.theta)])
-        return self.predictor.derived((point.key, tuple(pairs)),
-                                      lambda: self._derived(point, pairs))
+            return self._derived(point, pairs, near[:, :, : len(point.theta)])
+        return self.predictor.derived((point.key, tuple(pairs)), lambda: self._derived(point, pairs))
 
     def _derived(self, point: Point, pairs, by_parameters=None) -> np.ndarray:
         raw = self._raw(point)
         if raw is None:
-            raise ParameterError("a model that cannot be run along the log", where="prediction",
-                                 expected="the parameters of a fit")
+            raise ParameterError(
+                "a model that cannot be run along the log", where="prediction", expected="the parameters of a fit"
+            )
         if by_parameters is None:
             columns = each(lambda k: self._by_parameter(point, raw, k), range(len(point.theta)))
         else:
             columns = list(np.moveaxis(by_parameters, 2, 0))
         columns += each(lambda pair: self._by_effect(point, raw, *pair), pairs)
-        return (np.stack(columns, axis=2) if columns
-                else np.zeros((*raw.shape, 0)))
+        return np.stack(columns, axis=2) if columns else np.zeros((*raw.shape, 0))
 
     def white(self, derivatives: np.ndarray) -> np.ndarray:
         """(N', p) raw derivatives (N, J, p) in this weighting, at the rows to fit."""
@@ -171,15 +195,13 @@ class PredictionFit:
         effect = point.effects[number]
         size = _size(effect, name)
         for sign in (1.0, -1.0):
-            effects = _with_value(point.effects, number, name,
-                                  effect.values[name] + sign * _EFFECT_DIFFERENCE * size)
+            effects = _with_value(point.effects, number, name, effect.values[name] + sign * _EFFECT_DIFFERENCE * size)
             moved = None if effects is None else self._raw(Point(point.theta, effects))
             if moved is not None:
                 return (moved - raw) / (sign * _EFFECT_DIFFERENCE)
         return np.zeros_like(raw)
 
-    def run(self, point: Point, free, *, known=None, known_free=(), rounds: int = 4
-            ) -> Fitted | None:
+    def run(self, point: Point, free, *, known=None, known_free=(), rounds: int = 4) -> Fitted | None:
         """Fit from a start.
 
         free : (number of the effect, its parameter) pairs. known : (N', p + c) derivatives by the
@@ -201,8 +223,12 @@ class PredictionFit:
                 full = self.white(self.derivatives(point, pairs))
             else:
                 raw = self._raw(point) if free else None
-                full = np.hstack([known, *(self.white(self._by_effect(point, raw, number, name)
-                                                      [:, :, None]) for number, name in free)])
+                full = np.hstack(
+                    [
+                        known,
+                        *(self.white(self._by_effect(point, raw, number, name)[:, :, None]) for number, name in free),
+                    ]
+                )
             step = self._newton(full, point, errors, pairs)
             gained = 0.0
             for moved, trial in self._tried(full, point, step, pairs):
@@ -224,8 +250,9 @@ class PredictionFit:
         found = self.run(start, (), known=known, known_free=fitted.names, rounds=_FROM_START)
         return fitted if found is None or found.objective >= fitted.objective else found
 
-    def to_end(self, point: Point, pairs, raw=None, gain: float = _FINISHED,
-               times: int = _REFITS, near=None) -> tuple[Fitted, np.ndarray]:
+    def to_end(
+        self, point: Point, pairs, raw=None, gain: float = _FINISHED, times: int = _REFITS, near=None
+    ) -> tuple[Fitted, np.ndarray]:
         """The fit from a model on, with the raw derivatives about it: taken anew until they gain no
         more than so much [nat]. raw : derivatives to begin with; near : about a model near by."""
         if raw is None:
@@ -236,8 +263,7 @@ class PredictionFit:
             before = fitted.objective
             raw = self.derivatives(fitted.point, pairs, raw)
             known = self.white(raw)
-            fitted = self.from_start(self.run(fitted.point, (), known=known, known_free=pairs),
-                                     known)
+            fitted = self.from_start(self.run(fitted.point, (), known=known, known_free=pairs), known)
             if before - fitted.objective < gain:
                 break
         return fitted, raw
@@ -352,4 +378,4 @@ def _with_value(effects, number, name, value, clip: bool = False):
         changed = Effect(effect.kind, effect.joint, {**effect.values, name: float(value)})
     except ParameterError:
         return None
-    return (*effects[:number], changed, *effects[number + 1:])
+    return (*effects[:number], changed, *effects[number + 1 :])

@@ -94,8 +94,9 @@ class Predictor:
         self.poses = low + (high - low) * np.random.default_rng(0).random((_POSES, len(low)))
         self.inertia_at_start = self._least_inertia(mechanism.start)
         #: noise of a row's voltage that there is at least [V]
-        self.least = _LEAST_ROW * (mechanism.drive(mechanism.start).volts_per_torque
-                                   * np.asarray(mechanism.torque_scale, dtype=float))
+        self.least = _LEAST_ROW * (
+            mechanism.drive(mechanism.start).volts_per_torque * np.asarray(mechanism.torque_scale, dtype=float)
+        )
 
     def feasible(self, theta: np.ndarray) -> bool:
         """Whether the inertia matrix is positive definite throughout the ranges of the joints: what
@@ -115,18 +116,26 @@ class Predictor:
         near = slice(max(0, first - 12), first + 13)
         x = log.time[near] - log.time[first]
         position = np.polynomial.polynomial.polyfit(x, log.position[near], 2)[0]
-        enable = None if log.enable is None else np.broadcast_to(
-            np.reshape(log.enable, (len(log.time), -1)), log.voltage.shape).astype(float)
+        enable = (
+            None
+            if log.enable is None
+            else np.broadcast_to(np.reshape(log.enable, (len(log.time), -1)), log.voltage.shape).astype(float)
+        )
         if enable is not None and enable.all():
             enable = None
         time = log.time[first:]
         counts = time[1:] > log.time[0] + SETTLING + 0.03
         usable = np.repeat(counts[:, None], log.position.shape[1], axis=1)
-        return Stretch(time, np.ascontiguousarray(log.voltage[first:]),
-                       np.ascontiguousarray(log.position[first:]),
-                       None if enable is None else enable[first:],
-                       (position, velocity, acceleration), first,
-                       usable, np.zeros_like(usable)).keeping(held)
+        return Stretch(
+            time,
+            np.ascontiguousarray(log.voltage[first:]),
+            np.ascontiguousarray(log.position[first:]),
+            None if enable is None else enable[first:],
+            (position, velocity, acceleration),
+            first,
+            usable,
+            np.zeros_like(usable),
+        ).keeping(held)
 
     def _gain(self, volts, noise, step) -> np.ndarray:
         """(J, 3) steady Kalman gain of each joint by itself, its inertia at its mean."""
@@ -140,8 +149,7 @@ class Predictor:
             M, H = inertia[j], drive.viscous[j]
             # in units of torque per volt the current is i' = (V - emf w - i') / lag, torque i' / k
             if lag > 0.0:
-                A = np.array([[0.0, 1.0, 0.0], [0.0, -H / M, 1.0 / (k * M)],
-                              [0.0, -emf / lag, -1.0 / lag]])
+                A = np.array([[0.0, 1.0, 0.0], [0.0, -H / M, 1.0 / (k * M)], [0.0, -emf / lag, -1.0 / lag]])
                 B = np.array([[0.0], [0.0], [1.0 / lag]])
             else:
                 A = np.array([[0.0, 1.0], [0.0, -(H + emf / k) / M]])
@@ -156,10 +164,10 @@ class Predictor:
             Q = G @ G.T * volts[j] ** 2 + np.diag([1e-18, 1e-12, 1e-12][:n])
             R = noise[j] ** 2
             P = solve_discrete_are(F.T, C.T, Q, np.array([[R]]))
-            if R < _LEAST_SENSED ** 2 * P[0, 0]:
+            if _LEAST_SENSED**2 * P[0, 0] > R:
                 # positions without noise would be followed so closely that the error of the start
                 # rings for a second
-                R = _LEAST_SENSED ** 2 * P[0, 0]
+                R = _LEAST_SENSED**2 * P[0, 0]
                 P = solve_discrete_are(F.T, C.T, Q, np.array([[R]]))
             gain = (P @ C.T / (P[0, 0] + R)).ravel()
             current = gain[2] / self._resistance(j) if n == 3 else 0.0
@@ -191,8 +199,17 @@ class Predictor:
             if s.enable is not None:
                 current = np.where(s.enable[0] != 0.0, current, 0.0)
             simulator.reset(position, velocity, current, time=float(s.time[0]))
-            parts.append(innovations(simulator, s.time, s.voltage, s.position, self.gain, s.enable,
-                                     None if corrected is None else corrected[number]))
+            parts.append(
+                innovations(
+                    simulator,
+                    s.time,
+                    s.voltage,
+                    s.position,
+                    self.gain,
+                    s.enable,
+                    None if corrected is None else corrected[number],
+                )
+            )
         return parts
 
     def in_volts(self, errors: np.ndarray, cutoff: float) -> np.ndarray:
@@ -204,17 +221,16 @@ class Predictor:
         for s in self.stretches:
             n = len(s.time) - 1
             for j in range(errors.shape[1]):
-                out[start:start + n, j] = self._undone(errors[start:start + n, j], j, cutoff)
+                out[start : start + n, j] = self._undone(errors[start : start + n, j], j, cutoff)
             start += n
         return out
 
     def _undone(self, errors, joint, cutoff):
         taps = self.responses[joint]
-        size = fft.next_fast_len(len(errors) + len(taps) + int(2.0 / (cutoff * self.step)),
-                                 real=True)
+        size = fft.next_fast_len(len(errors) + len(taps) + int(2.0 / (cutoff * self.step)), real=True)
         f = fft.rfftfreq(size, self.step)
         ratio = filters.response(f, cutoff) / fft.rfft(taps, size)
-        return fft.irfft(fft.rfft(errors, size) * ratio, size)[:len(errors)]
+        return fft.irfft(fft.rfft(errors, size) * ratio, size)[: len(errors)]
 
     def floor_in_volts(self, cutoff: float) -> np.ndarray:
         """(J,) `in_volts` root mean square [V] of a true model with this noise."""
@@ -246,7 +262,7 @@ class Predictor:
         model a variance (J,); noise (J,): what a position's may at most be."""
         one, none = np.ones(len(self.linear)), np.zeros(len(self.linear))
         driven, seen = (self.open_loop_variance(*pair, 1)[0] for pair in ((one, none), (none, one)))
-        sensed = np.minimum(noise ** 2, variance / seen)
+        sensed = np.minimum(noise**2, variance / seen)
         return np.sqrt(np.maximum(variance - seen * sensed, 0.0) / driven), np.sqrt(sensed)
 
     def keeping(self, held) -> Predictor:
@@ -263,7 +279,7 @@ class Predictor:
         other.stretches = []
         for s in self.stretches:
             voltage = s.voltage.copy()
-            voltage[:-1] -= volts[start:start + len(voltage) - 1]
+            voltage[:-1] -= volts[start : start + len(voltage) - 1]
             other.stretches.append(replace(s, voltage=voltage))
             start += len(voltage) - 1
         return other
@@ -274,7 +290,7 @@ class Predictor:
         out, start = np.empty_like(volts), 0
         for n in self.lengths:
             for j, taps in enumerate(self.responses):
-                out[start:start + n, j] = fftconvolve(volts[start:start + n, j], taps)[:n]
+                out[start : start + n, j] = fftconvolve(volts[start : start + n, j], taps)[:n]
             start += n
         return out
 
@@ -302,8 +318,12 @@ class Predictor:
             both = rows[1:, j] & rows[:-1, j]
             change = np.diff(errors[:, j])[both]
             scale[j] = 1.4826 * np.median(np.abs(change)) / np.sqrt(2.0) if len(change) else 1.0
-            scale[j] = max(scale[j], 0.3 * float(np.std(change)) / np.sqrt(2.0),
-                           self.least[j] * float(np.linalg.norm(self.responses[j])), 1e-15)
+            scale[j] = max(
+                scale[j],
+                0.3 * float(np.std(change)) / np.sqrt(2.0),
+                self.least[j] * float(np.linalg.norm(self.responses[j])),
+                1e-15,
+            )
         return Weighting(filters, scale, self.lengths)
 
 
@@ -331,6 +351,5 @@ def _settled(A, Q) -> np.ndarray:
 
 def stable_step(plant: Plant, at_most: float) -> float:
     """Step of integration [s] at which a plant's windings are stable: a fit may make them quick."""
-    lags = [m.inductance / m.resistance for m in plant.arm.motors[3 - plant.joints:]
-            if m.inductance > 0.0]
+    lags = [m.inductance / m.resistance for m in plant.arm.motors[3 - plant.joints :] if m.inductance > 0.0]
     return min([at_most, *(_STABLE * lag for lag in lags)])

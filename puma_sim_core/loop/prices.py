@@ -40,9 +40,12 @@ def price(scored: Scored, fit: PredictionFit, fitted: Fitted) -> float:
     own = [k for k, (n, _) in enumerate(fitted.names) if n == number]
     scale = float(fit.mechanism.torque_scale[effect.joint - 1])
     value, mean, deviation = coordinates(effect.values, scale).T
-    slopes = np.column_stack([
-        _slope(coordinates, effect, fitted.names[k][1], size, scale)
-        for k, size in zip(own, np.array(fit.sizes(fitted.point, fitted.names))[own])])
+    slopes = np.column_stack(
+        [
+            _slope(coordinates, effect, fitted.names[k][1], size, scale)
+            for k, size in zip(own, np.array(fit.sizes(fitted.point, fitted.names))[own])
+        ]
+    )
     covariance = slopes @ _covariance(fit, fitted, own) @ slopes.T
     return gaussian(value - mean, deviation, covariance)
 
@@ -64,8 +67,10 @@ def gaussian(distance: np.ndarray, deviation: np.ndarray, covariance: np.ndarray
 
 def _slope(coordinates, effect: Effect, name: str, size: float, scale: float) -> np.ndarray:
     """(k,) derivatives of the coordinates by a parameter, per size."""
-    ends = [coordinates({**effect.values, name: effect.values[name] + sign * _STEP * size},
-                        scale)[:, 0] for sign in (1.0, -1.0)]
+    ends = [
+        coordinates({**effect.values, name: effect.values[name] + sign * _STEP * size}, scale)[:, 0]
+        for sign in (1.0, -1.0)
+    ]
     return (ends[0] - ends[1]) / (2.0 * _STEP)
 
 

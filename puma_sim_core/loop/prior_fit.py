@@ -19,8 +19,7 @@ from .plausibility import Coarse, Plausibility
 _NOISE, _SHARE, _CORRELATED = 0.05, 0.007, 0.4
 #: widths: offset, dry friction and spring in volts of a middling friction, load friction, drag as a
 #: share of the speed's volts, load [kg] at a lever [m], tilt [rad], delay or lag of a sensor [s]
-_OFFSET, _DRY, _SPRING, _LOADED, _DRAG, _LOAD, _LEVER, _TILT, _LAG = (
-    1.5, 2.0, 1.5, 0.15, 0.08, 3.0, 0.4, 0.07, 8e-3)
+_OFFSET, _DRY, _SPRING, _LOADED, _DRAG, _LOAD, _LEVER, _TILT, _LAG = (1.5, 2.0, 1.5, 0.15, 0.08, 3.0, 0.4, 0.07, 8e-3)
 #: widths of the step of dry friction, as shares of the greatest speed
 _DRY_WIDTHS = (0.015, 0.08)
 
@@ -41,8 +40,7 @@ class PriorFit:
         m, theta, model = self.mechanism, self.model.theta, self.model
         joints = range(c.joints) if joints is None else joints
         q, qd, qdd = c.position, c.velocity, c.acceleration
-        torque = (m.torque(theta, q, qd, qdd) + model.drive.motor_inertia * qdd
-                  + model.drive.viscous * qd)
+        torque = m.torque(theta, q, qd, qdd) + model.drive.motor_inertia * qdd + model.drive.viscous * qd
         expected = model.k * torque + model.drive.emf * qd
         shared = [self._slopes(c, torque) * m.deviations]
         load = m.payload_torque(theta, _LEVER, q, qd, qdd)
@@ -62,18 +60,23 @@ class PriorFit:
             fastest = float(np.abs(v).max()) or 1.0
             steps = [np.tanh(v / (width * fastest)) for width in _DRY_WIDTHS]
             part = q[rows, j]
-            own = np.column_stack([
-                np.full(len(v), _OFFSET * unit), *(_DRY * unit * step for step in steps),
-                _SPRING * unit * (part - part.mean()) / max(float(np.ptp(part)), 1e-9),
-                _LOADED * np.abs(weight[rows, j]) * steps[0],
-                _DRAG * model.speed[j] * v * np.abs(v) / fastest,
-                # the motion that is read is that of voltages some milliseconds before
-                _LAG * c.voltage_rate[rows, j]])
+            own = np.column_stack(
+                [
+                    np.full(len(v), _OFFSET * unit),
+                    *(_DRY * unit * step for step in steps),
+                    _SPRING * unit * (part - part.mean()) / max(float(np.ptp(part)), 1e-9),
+                    _LOADED * np.abs(weight[rows, j]) * steps[0],
+                    _DRAG * model.speed[j] * v * np.abs(v) / fastest,
+                    # the motion that is read is that of voltages some milliseconds before
+                    _LAG * c.voltage_rate[rows, j],
+                ]
+            )
             block = np.zeros((len(v), c.joints * own.shape[1]))
-            block[:, j * own.shape[1]:(j + 1) * own.shape[1]] = own
+            block[:, j * own.shape[1] : (j + 1) * own.shape[1]] = own
             # rows closer than the correlation time share one value's weight
-            scale = np.sqrt(min(1.0, c.step / _CORRELATED)) / float(np.hypot(
-                _NOISE * unit, _SHARE * np.std(c.voltage[rows, j])))
+            scale = np.sqrt(min(1.0, c.step / _CORRELATED)) / float(
+                np.hypot(_NOISE * unit, _SHARE * np.std(c.voltage[rows, j]))
+            )
             table.append(scale * np.hstack([shared[rows, j], block]))
             wanted.append(scale * (c.voltage[rows, j] - expected[rows, j]))
         if not table:
@@ -91,5 +94,4 @@ class PriorFit:
         result = self.mechanism.link_jacobian(self.model.theta, q, qd, qdd)
         result += qdd[:, :, None] * s.motor_inertia + qd[:, :, None] * s.viscous
         result *= self.model.k[:, None]
-        return (result + torque[:, :, None] * s.volts_per_torque
-                + qd[:, :, None] * s.emf)
+        return result + torque[:, :, None] * s.volts_per_torque + qd[:, :, None] * s.emf

@@ -50,8 +50,9 @@ class Problem:
     all logs are; place : where each lies in its period, 0..1.
     """
 
-    def __init__(self, sampled: Sampled, mechanism, held_segments=(), hold_back: bool = True,
-                 place: float = _PLACES[0]):
+    def __init__(
+        self, sampled: Sampled, mechanism, held_segments=(), hold_back: bool = True, place: float = _PLACES[0]
+    ):
         self.sampled = sampled
         self.place = place
         self.mechanism = mechanism
@@ -99,8 +100,10 @@ class Problem:
         for usable, r in zip(self.usable.T, residual.T):
             kept, fit = r[usable & away], r[usable & ~away]
             if len(kept) and len(fit):
-                ratios += [float(share * size(kept ** 2) / max(size(fit ** 2), 1e-30))
-                           for share, size in ((1.0, np.mean), (_PEAK, np.max))]
+                ratios += [
+                    float(share * size(kept**2) / max(size(fit**2), 1e-30))
+                    for share, size in ((1.0, np.mean), (_PEAK, np.max))
+                ]
         return max(ratios)
 
     def _resting(self) -> np.ndarray:
@@ -117,7 +120,7 @@ class Problem:
                 for first, last in zip(change[::2], change[1::2]):
                     if last - first >= need:
                         at = rows.start + max(0, first - reach)
-                        resting[at:min(rows.stop, rows.start + last + reach), j] = True
+                        resting[at : min(rows.stop, rows.start + last + reach), j] = True
         return resting[self.kept]
 
     def _switching(self) -> np.ndarray:
@@ -130,7 +133,7 @@ class Problem:
         near = np.zeros_like(part)
         for j in range(s.joints):
             for row in np.flatnonzero(part[:, j]):
-                near[max(0, row - reach):row + reach + 1, j] = True
+                near[max(0, row - reach) : row + reach + 1, j] = True
         return near[self.kept]
 
     def _kept_back(self, held_segments):
@@ -151,7 +154,7 @@ class Problem:
         for rows in self.stretches:
             for row in np.flatnonzero(np.diff(held[rows].astype(int))):
                 first = rows.start + row + 1
-                guard[max(rows.start, first - reach // 2):first + (reach + 1) // 2] = True
+                guard[max(rows.start, first - reach // 2) : first + (reach + 1) // 2] = True
         return held, guard
 
     # the model about a parameter vector
@@ -164,26 +167,40 @@ class Problem:
         """
         s, m = self.sampled, self.mechanism
         if motion is None:
-            motion = (s.time, s.step, s.segment, s.voltage, s.enable, s.position, s.velocity,
-                      s.acceleration)
+            motion = (s.time, s.step, s.segment, s.voltage, s.enable, s.position, s.velocity, s.acceleration)
         time, step, segment, voltage, enable, q, qd, qdd = motion
         drive = m.drive(theta)
         link = m.torque(theta, q, qd, qdd)
         torque = link + drive.motor_inertia * qdd + drive.viscous * qd
         return Signals(
-            time=time, step=step, segment=segment, voltage=voltage, position=q,
-            velocity=qd, acceleration=qdd, link_torque=link,
-            gravity_torque=m.gravity(theta, q), torque=torque,
-            current=torque * drive.volts_per_torque / drive.resistance, enable=enable,
-            link_inertia=m.inertia(theta, q), motor_inertia=drive.motor_inertia,
-            viscous=drive.viscous, volts_per_torque=drive.volts_per_torque, lag=drive.lag,
-            emf=drive.emf, gear=np.asarray(m.gear, dtype=float),
+            time=time,
+            step=step,
+            segment=segment,
+            voltage=voltage,
+            position=q,
+            velocity=qd,
+            acceleration=qdd,
+            link_torque=link,
+            gravity_torque=m.gravity(theta, q),
+            torque=torque,
+            current=torque * drive.volts_per_torque / drive.resistance,
+            enable=enable,
+            link_inertia=m.inertia(theta, q),
+            motor_inertia=drive.motor_inertia,
+            viscous=drive.viscous,
+            volts_per_torque=drive.volts_per_torque,
+            lag=drive.lag,
+            emf=drive.emf,
+            gear=np.asarray(m.gear, dtype=float),
             torque_scale=np.asarray(m.torque_scale, dtype=float),
-            velocity_noise=s.velocity_noise, quantum=s.quantum, ranges=tuple(m.ranges),
+            velocity_noise=s.velocity_noise,
+            quantum=s.quantum,
+            ranges=tuple(m.ranges),
             gravity_tilt=m.gravity_tilt(theta, q),
             payload_torque=lambda z: m.payload_torque(theta, z, q, qd, qdd),
             inertia=m.inertia_matrix(theta, q),
-            position_gradient=m.position_gradient(theta, q, qd, qdd))
+            position_gradient=m.position_gradient(theta, q, qd, qdd),
+        )
 
     def known(self, theta: np.ndarray, effects=()) -> np.ndarray:
         """(n, J) part of V - Vhat [V] that known effects make: those of the mechanism and more."""
@@ -199,9 +216,9 @@ class Problem:
         drive = m.drive(theta)
         torque = m.total_torque(theta, s.position, s.velocity, s.acceleration)
         k, lag = drive.volts_per_torque, drive.lag
-        return (s.second(s.voltage - self.known(theta, effects)
-                         - drive.emf * s.enable * s.velocity)
-                - k * (s.second(torque) + lag * s.second(torque, order=1)))
+        return s.second(s.voltage - self.known(theta, effects) - drive.emf * s.enable * s.velocity) - k * (
+            s.second(torque) + lag * s.second(torque, order=1)
+        )
 
     def linear(self, theta: np.ndarray, effects=()) -> Linear:
         """Residual and Jacobian of Vhat at the kept rows; effects: in the model beside those of
@@ -218,9 +235,12 @@ class Problem:
         w = s.second(s.enable * qd)[kept]
         k, lag, emf = drive.volts_per_torque, drive.lag, drive.emf
         dk, dlag, demf = slopes.volts_per_torque, slopes.lag, slopes.emf
-        jacobian = (k[:, None] * (D0 + lag[:, None] * D1)
-                    + dk * (T0 + lag * T1)[:, :, None] + (k[:, None] * dlag) * T1[:, :, None]
-                    + demf * w[:, :, None])
+        jacobian = (
+            k[:, None] * (D0 + lag[:, None] * D1)
+            + dk * (T0 + lag * T1)[:, :, None]
+            + (k[:, None] * dlag) * T1[:, :, None]
+            + demf * w[:, :, None]
+        )
         residual = self.voltage - (k * (T0 + lag * T1) + emf * w)
         if effects or m.effects:
             residual = residual - s.second(self.known(theta, effects))[kept]
@@ -241,5 +261,5 @@ class Problem:
                 k, lag = signals.volts_per_torque[j], signals.lag[j]
                 out[j] = k * s.second(full, lag=lag)[self.kept]
             else:
-                out[j] = s.second(full * s.enable[:, j:j + 1])[self.kept]
+                out[j] = s.second(full * s.enable[:, j : j + 1])[self.kept]
         return out

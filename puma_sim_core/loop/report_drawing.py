@@ -72,22 +72,38 @@ def svg(chart: Chart, identifier: str) -> str:
     """The chart as an `<svg>` element; `identifier` is one that nothing else on the page has."""
     left = 62.0 if chart.y_names else _LEFT
     box = (left, _TOP, WIDTH - left - _RIGHT, chart.height - _TOP - _BOTTOM)
-    x_range = chart.x_range or _range([layer.x for layer in chart.layers
-                                       if layer.kind != "level"], 0.02, chart.log_x)
+    x_range = chart.x_range or _range([layer.x for layer in chart.layers if layer.kind != "level"], 0.02, chart.log_x)
     y_range = chart.y_range or _range(
-        [values for layer in chart.layers if layer.kind != "spans"
-         for values in (layer.y, layer.y2) if values is not None], 0.06)
+        [
+            values
+            for layer in chart.layers
+            if layer.kind != "spans"
+            for values in (layer.y, layer.y2)
+            if values is not None
+        ],
+        0.06,
+    )
     frame = _Frame(box, x_range, y_range, chart.log_x)
     label = escape(f"{chart.title}: {chart.y_label} against {chart.x_label}")
-    parts = [f'<svg class="drawing" role="img" aria-label="{label}" '
-             f'viewBox="0 0 {WIDTH:g} {chart.height:g}" xmlns="http://www.w3.org/2000/svg">',
-             f'<clipPath id="{identifier}"><rect x="{box[0]:g}" y="{box[1]:g}" '
-             f'width="{box[2]:g}" height="{box[3]:g}"/></clipPath>']
+    parts = [
+        f'<svg class="drawing" role="img" aria-label="{label}" '
+        f'viewBox="0 0 {WIDTH:g} {chart.height:g}" xmlns="http://www.w3.org/2000/svg">',
+        f'<clipPath id="{identifier}"><rect x="{box[0]:g}" y="{box[1]:g}" '
+        f'width="{box[2]:g}" height="{box[3]:g}"/></clipPath>',
+    ]
     spans = [layer for layer in chart.layers if layer.kind == "spans"]
     others = [layer for layer in chart.layers if layer.kind != "spans"]
-    parts += [f'<g clip-path="url(#{identifier})">', *(_layer(each, frame) for each in spans),
-              "</g>", _grid(frame, chart), f'<g clip-path="url(#{identifier})">',
-              *(_layer(each, frame) for each in others), "</g>", _labels(frame, chart), "</svg>"]
+    parts += [
+        f'<g clip-path="url(#{identifier})">',
+        *(_layer(each, frame) for each in spans),
+        "</g>",
+        _grid(frame, chart),
+        f'<g clip-path="url(#{identifier})">',
+        *(_layer(each, frame) for each in others),
+        "</g>",
+        _labels(frame, chart),
+        "</svg>",
+    ]
     return "".join(parts)
 
 
@@ -142,8 +158,7 @@ def decades(low: float, high: float) -> list[float]:
     powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
     wide = math.log10(high / low)
     factors = (1.0, 2.0, 5.0) if wide <= 1.7 else (1.0, 3.0) if wide <= 2.5 else (1.0,)
-    return [factor * 10.0 ** power for power in powers for factor in factors
-            if low <= factor * 10.0 ** power <= high]
+    return [factor * 10.0**power for power in powers for factor in factors if low <= factor * 10.0**power <= high]
 
 
 def _tick_labels(values: Sequence[float]) -> list[str]:
@@ -160,66 +175,86 @@ def _grid(frame: _Frame, chart: Chart) -> str:
     parts = []
     across = decades(*frame.x_range) if frame.log_x else ticks(*frame.x_range, 6)
     right, bottom = frame.left + frame.width, frame.top + frame.height
-    names = ([f"{value:g}" for value in across] if frame.log_x else _tick_labels(across))
+    names = [f"{value:g}" for value in across] if frame.log_x else _tick_labels(across)
     for value, name in zip(across, names):
         at = float(frame.x(value))
-        parts.append(f'<path d="M{at:.1f} {frame.top:g}V{bottom + 3:g}" stroke="{_GRID}"/>'
-                     f'<text x="{at:.1f}" y="{bottom + 14:g}" text-anchor="middle">{name}</text>')
+        parts.append(
+            f'<path d="M{at:.1f} {frame.top:g}V{bottom + 3:g}" stroke="{_GRID}"/>'
+            f'<text x="{at:.1f}" y="{bottom + 14:g}" text-anchor="middle">{name}</text>'
+        )
     down = list(range(len(chart.y_names))) if chart.y_names else ticks(*frame.y_range, 6)
     names = [escape(name) for name in chart.y_names] if chart.y_names else _tick_labels(down)
     for value, name in zip(down, names):
         at = float(frame.y(value))
         shade = "#b9bfc5" if value == 0.0 and not chart.y_names else _GRID
-        parts.append(f'<path d="M{frame.left - 3:g} {at:.1f}H{right:g}" stroke="{shade}"/>'
-                     f'<text x="{frame.left - 6:g}" y="{at + 3.6:.1f}" text-anchor="end">'
-                     f"{name}</text>")
-    return (f'<g fill="{_SOFT}" font-size="10.5" font-family="inherit" stroke-width="1">'
-            + "".join(parts).replace("<text ", '<text stroke="none" ') + "</g>")
+        parts.append(
+            f'<path d="M{frame.left - 3:g} {at:.1f}H{right:g}" stroke="{shade}"/>'
+            f'<text x="{frame.left - 6:g}" y="{at + 3.6:.1f}" text-anchor="end">'
+            f"{name}</text>"
+        )
+    return (
+        f'<g fill="{_SOFT}" font-size="10.5" font-family="inherit" stroke-width="1">'
+        + "".join(parts).replace("<text ", '<text stroke="none" ')
+        + "</g>"
+    )
 
 
 def _labels(frame: _Frame, chart: Chart) -> str:
     bottom = frame.top + frame.height
-    parts = [f'<path d="M{frame.left:g} {frame.top:g}V{bottom:g}H{frame.left + frame.width:g}" '
-             f'fill="none" stroke="#6b7279"/>',
-             f'<text x="{frame.left + frame.width / 2:g}" y="{bottom + 31:g}" '
-             f'text-anchor="middle" font-size="11.5" fill="{_INK}">{escape(chart.x_label)}</text>']
+    parts = [
+        f'<path d="M{frame.left:g} {frame.top:g}V{bottom:g}H{frame.left + frame.width:g}" '
+        f'fill="none" stroke="#6b7279"/>',
+        f'<text x="{frame.left + frame.width / 2:g}" y="{bottom + 31:g}" '
+        f'text-anchor="middle" font-size="11.5" fill="{_INK}">{escape(chart.x_label)}</text>',
+    ]
     if chart.y_label:
         middle = frame.top + frame.height / 2
-        parts.append(f'<text transform="translate(11 {middle:g}) rotate(-90)" '
-                     f'text-anchor="middle" font-size="11.5" fill="{_INK}">'
-                     f"{escape(chart.y_label)}</text>")
+        parts.append(
+            f'<text transform="translate(11 {middle:g}) rotate(-90)" '
+            f'text-anchor="middle" font-size="11.5" fill="{_INK}">'
+            f"{escape(chart.y_label)}</text>"
+        )
     return "".join(parts)
 
 
 def _layer(layer: Layer, frame: _Frame) -> str:
     style = f'stroke-opacity="{layer.opacity:g}" ' if layer.opacity != 1.0 else ""
-    stroke = (f'fill="none" stroke="{layer.colour}" {style}stroke-width="{layer.width:g}"'
-              + (f' stroke-dasharray="{layer.dashes}"' if layer.dashes else ""))
+    stroke = f'fill="none" stroke="{layer.colour}" {style}stroke-width="{layer.width:g}"' + (
+        f' stroke-dasharray="{layer.dashes}"' if layer.dashes else ""
+    )
     if layer.kind == "spans":
         return "".join(
             f'<rect x="{a:.1f}" y="{frame.top:g}" width="{max(b - a, 0.7):.1f}" '
             f'height="{frame.height:g}" fill="{layer.colour}"/>'
-            for a, b in zip(frame.x(layer.x), frame.x(layer.y)))
+            for a, b in zip(frame.x(layer.x), frame.x(layer.y))
+        )
     if layer.kind == "level":
-        return "".join(f'<path d="M{frame.left:g} {at:.1f}h{frame.width:g}" {stroke}/>'
-                       for at in frame.y(np.atleast_1d(layer.y)))
+        return "".join(
+            f'<path d="M{frame.left:g} {at:.1f}h{frame.width:g}" {stroke}/>' for at in frame.y(np.atleast_1d(layer.y))
+        )
     if layer.kind == "marks":
-        return "".join(mark_svg(layer.mark, float(x), float(y), layer.colour)
-                       for x, y in zip(frame.x(layer.x), frame.y(layer.y))
-                       if math.isfinite(x) and math.isfinite(y))
+        return "".join(
+            mark_svg(layer.mark, float(x), float(y), layer.colour)
+            for x, y in zip(frame.x(layer.x), frame.y(layer.y))
+            if math.isfinite(x) and math.isfinite(y)
+        )
     if layer.kind == "band":
         keep = np.isfinite(layer.x) & np.isfinite(layer.y) & np.isfinite(layer.y2)
         x, low, high = (np.asarray(v, dtype=float)[keep] for v in (layer.x, layer.y, layer.y2))
         if x.size < 2:
             return ""
-        path = _path(np.concatenate([frame.x(x), frame.x(x)[::-1]]),
-                     np.concatenate([frame.y(high), frame.y(low)[::-1]]))
+        path = _path(
+            np.concatenate([frame.x(x), frame.x(x)[::-1]]), np.concatenate([frame.y(high), frame.y(low)[::-1]])
+        )
         return f'<path d="{path}Z" fill="{layer.colour}" fill-opacity="{layer.opacity:g}"/>'
     x, y = np.asarray(layer.x, dtype=float), np.asarray(layer.y, dtype=float)
     if layer.kind == "stems":
         zero = float(frame.y(0.0))
-        path = "".join(f"M{a:.1f} {zero:.1f}V{b:.1f}" for a, b in zip(frame.x(x), frame.y(y))
-                       if math.isfinite(a) and math.isfinite(b))
+        path = "".join(
+            f"M{a:.1f} {zero:.1f}V{b:.1f}"
+            for a, b in zip(frame.x(x), frame.y(y))
+            if math.isfinite(a) and math.isfinite(b)
+        )
         return f'<path d="{path}" {stroke}/>'
     if layer.kind == "points":
         keep = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
@@ -266,24 +301,27 @@ def mark_svg(mark: str, x: float, y: float, colour: str) -> str:
     if mark == "circle":
         return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="5" fill="{colour}"/>'
     if mark == "ring":
-        return (f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4.4" fill="#fff" stroke="{colour}" '
-                f'stroke-width="2"/>')
+        return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4.4" fill="#fff" stroke="{colour}" stroke-width="2"/>'
     if mark == "diamond":
-        return (f'<path d="M{x:.1f} {y - 5.4:.1f}l5.4 5.4l-5.4 5.4l-5.4 -5.4z" fill="#fff" '
-                f'stroke="{colour}" stroke-width="2"/>')
+        return (
+            f'<path d="M{x:.1f} {y - 5.4:.1f}l5.4 5.4l-5.4 5.4l-5.4 -5.4z" fill="#fff" '
+            f'stroke="{colour}" stroke-width="2"/>'
+        )
     return f'<path d="M{x:.1f} {y - 9:.1f}v18" stroke="{colour}" stroke-width="2.4"/>'
 
 
-def key_svg(kind: str, colour: str, dashes: str = "", mark: str = "circle",
-            width: float = 2.2) -> str:
+def key_svg(kind: str, colour: str, dashes: str = "", mark: str = "circle", width: float = 2.2) -> str:
     """A short piece of a layer, for a legend."""
-    inside = {"spans": f'<path d="M0 0h26v12h-26z" fill="{colour}"/>',
-              "band": f'<path d="M0 1h26v10h-26z" fill="{colour}" fill-opacity=".3"/>',
-              "points": f'<path d="M4 8h.01M12 4h.01M20 7h.01" stroke="{colour}" '
-                        f'stroke-width="4" stroke-linecap="round"/>',
-              "marks": mark_svg(mark, 13.0, 6.0, colour)}.get(kind)
+    inside = {
+        "spans": f'<path d="M0 0h26v12h-26z" fill="{colour}"/>',
+        "band": f'<path d="M0 1h26v10h-26z" fill="{colour}" fill-opacity=".3"/>',
+        "points": f'<path d="M4 8h.01M12 4h.01M20 7h.01" stroke="{colour}" stroke-width="4" stroke-linecap="round"/>',
+        "marks": mark_svg(mark, 13.0, 6.0, colour),
+    }.get(kind)
     if inside is None:
         dash = f' stroke-dasharray="{dashes}"' if dashes else ""
         inside = f'<path d="M0 6H26" stroke="{colour}" stroke-width="{width:g}"{dash}/>'
-    return (f'<svg class="key" viewBox="0 0 26 12" width="26" height="12" aria-hidden="true" '
-            f'overflow="visible">{inside}</svg>')
+    return (
+        f'<svg class="key" viewBox="0 0 26 12" width="26" height="12" aria-hidden="true" '
+        f'overflow="visible">{inside}</svg>'
+    )

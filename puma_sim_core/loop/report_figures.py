@@ -26,23 +26,35 @@ _BINS = 30
 _ROWS = 6
 #: effect -> signals that it is looked at against; the first that a report has is taken
 _AGAINST = {
-    "viscous_friction": ("velocity",), "coulomb_friction": ("velocity",),
-    "asymmetric_coulomb_friction": ("velocity",), "stribeck_friction": ("velocity",),
-    "presliding_friction": ("velocity",), "quadratic_friction": ("velocity",),
+    "viscous_friction": ("velocity",),
+    "coulomb_friction": ("velocity",),
+    "asymmetric_coulomb_friction": ("velocity",),
+    "stribeck_friction": ("velocity",),
+    "presliding_friction": ("velocity",),
+    "quadratic_friction": ("velocity",),
     "load_dependent_friction": ("gravity_torque", "link_torque", "torque"),
     "position_dependent_friction": ("position",),
-    "torque_ripple": ("motor_angle", "position"), "joint_spring": ("position",),
-    "soft_stop": ("position",), "base_tilt": ("position",),
+    "torque_ripple": ("motor_angle", "position"),
+    "joint_spring": ("position",),
+    "soft_stop": ("position",),
+    "base_tilt": ("position",),
     "payload": ("link_torque", "torque", "position"),
-    "impulse": ("time",), "friction_warm_up": ("time",), "resistance_drift": ("time",),
-    "voltage_dead_band": ("voltage",), "voltage_offset": ("time",),
-    "voltage_saturation": ("voltage",), "current_limit": ("current", "torque"),
+    "impulse": ("time",),
+    "friction_warm_up": ("time",),
+    "resistance_drift": ("time",),
+    "voltage_dead_band": ("voltage",),
+    "voltage_offset": ("time",),
+    "voltage_saturation": ("voltage",),
+    "current_limit": ("current", "torque"),
     "supply_droop": ("supply_current", "current", "voltage"),
     "input_delay": ("voltage_rate", "acceleration"),
     "sensor_lag": ("voltage_rate", "acceleration"),
-    "encoder_offset": ("position",), "sensor_nonlinearity": ("position",),
-    "transmission_error": ("position",), "joint_elasticity": ("acceleration",),
-    "backlash": ("link_torque", "torque")}
+    "encoder_offset": ("position",),
+    "sensor_nonlinearity": ("position",),
+    "transmission_error": ("position",),
+    "joint_elasticity": ("acceleration",),
+    "backlash": ("link_torque", "torque"),
+}
 #: a level of friction is seen when the sign of the motion is taken out
 _DIRECTED = ("load_dependent_friction", "position_dependent_friction")
 
@@ -56,8 +68,9 @@ def residual_in_time(explanation: Explanation) -> list[Chart]:
     charts = []
     for j in range(drawn.nominal.shape[1]):
         layers, unit = _residuals(explanation, time, j)
-        charts.append(Chart(f"Residual of joint {j + 1} in time", label,
-                            f"residual [{unit}]", (_held_out(drawn, time), *layers)))
+        charts.append(
+            Chart(f"Residual of joint {j + 1} in time", label, f"residual [{unit}]", (_held_out(drawn, time), *layers))
+        )
     return charts
 
 
@@ -75,8 +88,7 @@ def residual_against(explanation: Explanation) -> list[Chart]:
     if not explanation.effects and explanation.shape is not None:
         axis, j = explanation.shape.axis, explanation.shape.joint - 1
         if explanation.shape.line_hz is None and _signal(drawn, axis, j) is not None:
-            charts.append(_scatter(explanation, axis, j, False,
-                                   f"Joint {j + 1}: residual against {_axis_words(axis)}"))
+            charts.append(_scatter(explanation, axis, j, False, f"Joint {j + 1}: residual against {_axis_words(axis)}"))
     return charts
 
 
@@ -86,8 +98,7 @@ def shape_of_the_unnamed(explanation: Explanation) -> Chart | None:
     if shape is None or np.size(shape.centre) < 2:
         return None
     factor, unit = scale([*shape.curve], explanation.voltage_unit)
-    low, high, curve = (np.asarray(v, dtype=float) * factor
-                        for v in (shape.low, shape.high, shape.curve))
+    low, high, curve = (np.asarray(v, dtype=float) * factor for v in (shape.low, shape.high, shape.curve))
     colour = COLOURS["retuned"]
     words = _axis_words(shape.axis)
     if shape.way == "with hysteresis":
@@ -98,9 +109,15 @@ def shape_of_the_unnamed(explanation: Explanation) -> Chart | None:
         words += " within one period"
     if shape.axis_unit not in ("", "1"):
         words += f" [{plain_unit(shape.axis_unit)}]"
-    return Chart(f"Joint {shape.joint}: shape of what has no name", words, f"residual [{unit}]",
-                 (Layer("band", np.asarray(shape.centre), low, high, colour=colour, opacity=0.25),
-                  Layer("line", np.asarray(shape.centre), curve, colour=colour, width=2.2)))
+    return Chart(
+        f"Joint {shape.joint}: shape of what has no name",
+        words,
+        f"residual [{unit}]",
+        (
+            Layer("band", np.asarray(shape.centre), low, high, colour=colour, opacity=0.25),
+            Layer("line", np.asarray(shape.centre), curve, colour=colour, width=2.2),
+        ),
+    )
 
 
 def whiteness(explanation: Explanation) -> list[Chart]:
@@ -119,15 +136,23 @@ def whiteness(explanation: Explanation) -> list[Chart]:
         inside = float(np.mean(np.abs(values) <= bound))
         limit = 1.1 * max(3.0 * bound, float(np.nanmax(np.abs(values), initial=0.0)))
         x_range = _padded(np.append(lags, 0.0) * factor)
-        charts.append(Chart(
-            f"Joint {joint}: autocorrelation of what is left", f"lag [{unit}]",
-            "autocorrelation [1]",
-            (Layer("band", np.array(x_range), np.full(2, -bound), np.full(2, bound),
-                   colour="#0060a8", opacity=0.14),
-             Layer("stems", lags * factor, values, colour=COLOURS["augmented"], width=1.6)),
-            x_range=x_range, y_range=(-limit, limit),
-            note=f"{100.0 * inside:.0f} % of the lags are within the 95 % bound of white noise, "
-                 f"\N{PLUS-MINUS SIGN}{bound:.3f}."))
+        charts.append(
+            Chart(
+                f"Joint {joint}: autocorrelation of what is left",
+                f"lag [{unit}]",
+                "autocorrelation [1]",
+                (
+                    Layer(
+                        "band", np.array(x_range), np.full(2, -bound), np.full(2, bound), colour="#0060a8", opacity=0.14
+                    ),
+                    Layer("stems", lags * factor, values, colour=COLOURS["augmented"], width=1.6),
+                ),
+                x_range=x_range,
+                y_range=(-limit, limit),
+                note=f"{100.0 * inside:.0f} % of the lags are within the 95 % bound of white noise, "
+                f"\N{PLUS-MINUS SIGN}{bound:.3f}.",
+            )
+        )
     return charts
 
 
@@ -137,8 +162,7 @@ def errors_chart(explanation: Explanation, part: str, quantity: str) -> Chart | 
         return None
     stages: StageErrors = getattr(explanation.errors[part], quantity)
     base = explanation.voltage_unit if quantity == "voltage_rms" else explanation.position_unit
-    values = {name: np.atleast_1d(np.asarray(getattr(stages, name), dtype=float))
-              for name in COLOURS}
+    values = {name: np.atleast_1d(np.asarray(getattr(stages, name), dtype=float)) for name in COLOURS}
     factor, unit = scale(np.concatenate(list(values.values())), base)
     count = values["nominal"].size
     rows = np.arange(count, dtype=float)
@@ -146,11 +170,17 @@ def errors_chart(explanation: Explanation, part: str, quantity: str) -> Chart | 
         return None
     words = {"voltage_rms": "Residual of the voltage", "position_rms": "Open-loop position error"}
     return Chart(
-        f"{words[quantity]}, {part.replace('_', '-')} data", f"root mean square [{unit}]", "",
-        tuple(Layer("marks", each * factor, rows, colour=COLOURS[name], mark=MARKS[name])
-              for name, each in values.items()),
-        y_range=(count - 0.5, -0.5), log_x=True, height=66.0 + 34.0 * count,
-        y_names=tuple(f"joint {j + 1}" for j in range(count)))
+        f"{words[quantity]}, {part.replace('_', '-')} data",
+        f"root mean square [{unit}]",
+        "",
+        tuple(
+            Layer("marks", each * factor, rows, colour=COLOURS[name], mark=MARKS[name]) for name, each in values.items()
+        ),
+        y_range=(count - 0.5, -0.5),
+        log_x=True,
+        height=66.0 + 34.0 * count,
+        y_names=tuple(f"joint {j + 1}" for j in range(count)),
+    )
 
 
 def _residuals(explanation: Explanation, time: np.ndarray, j: int) -> tuple[list[Layer], str]:
@@ -160,13 +190,16 @@ def _residuals(explanation: Explanation, time: np.ndarray, j: int) -> tuple[list
         del series["augmented"]
     factor, unit = scale(np.concatenate(list(series.values())), explanation.voltage_unit)
     widths = {"nominal": 1.0, "retuned": 1.1, "augmented": 1.2}
-    return [Layer("line", *_with_gaps(time, values * factor), colour=COLOURS[name],
-                  width=widths[name]) for name, values in series.items()], unit
+    return [
+        Layer("line", *_with_gaps(time, values * factor), colour=COLOURS[name], width=widths[name])
+        for name, values in series.items()
+    ], unit
 
 
 def _against(explanation: Explanation, effect: NamedEffect, j: int) -> Chart:
-    axis = next((name for name in _AGAINST.get(effect.name, ())
-                 if _signal(explanation.drawn, name, j) is not None), "time")
+    axis = next(
+        (name for name in _AGAINST.get(effect.name, ()) if _signal(explanation.drawn, name, j) is not None), "time"
+    )
     directed = effect.name in _DIRECTED and "velocity" in explanation.drawn.signals
     title = f"Joint {j + 1}: residual against {_axis_words(axis)}"
     chart = _scatter(explanation, axis, j, directed, title)
@@ -190,7 +223,7 @@ def _scatter(explanation: Explanation, axis: str, j: int, directed: bool, title:
     words = "residual"
     if directed:
         velocity = drawn.signals["velocity"][:, j]
-        moves = np.abs(velocity) > 0.05 * np.sqrt(np.nanmean(velocity ** 2))
+        moves = np.abs(velocity) > 0.05 * np.sqrt(np.nanmean(velocity**2))
         sign = np.where(moves, np.sign(velocity), np.nan)
         series = {name: values * sign for name, values in series.items()}
         words = "residual \N{MULTIPLICATION SIGN} direction"
@@ -199,8 +232,7 @@ def _scatter(explanation: Explanation, axis: str, j: int, directed: bool, title:
     x = x * x_factor
     layers = [_held_out(drawn, time)] if in_time else []
     for name, values in series.items():
-        layers.append(Layer("points", x, values * factor, colour=COLOURS[name], width=2.2,
-                            opacity=0.32))
+        layers.append(Layer("points", x, values * factor, colour=COLOURS[name], width=2.2, opacity=0.32))
     for name, values in series.items():
         centre, mean = _means(x, values * factor)
         layers.append(Layer("line", centre, mean, colour="#ffffff", width=4.6))
@@ -219,8 +251,7 @@ def _means(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if high <= low:
         return np.zeros(0), np.zeros(0)
     width = (high - low) / _BINS
-    first, last = (math.floor(low / width), math.ceil(high / width)) if low < 0.0 < high else (
-        0, _BINS)
+    first, last = (math.floor(low / width), math.ceil(high / width)) if low < 0.0 < high else (0, _BINS)
     edges = (0.0 if low < 0.0 < high else low) + width * np.arange(first, last + 1)
     place = np.digitize(x, edges) - 1
     centre, mean = (np.full(edges.size - 1, np.nan) for _ in range(2))
@@ -240,12 +271,11 @@ def _time(drawn: Drawn) -> tuple[np.ndarray, str]:
     jumps = np.flatnonzero(np.diff(time) <= 0.0)
     if not jumps.size:
         return time, "time [s]"
-    step = float(np.median(np.diff(time)[np.diff(time) > 0.0])) if np.any(
-        np.diff(time) > 0.0) else 1.0
+    step = float(np.median(np.diff(time)[np.diff(time) > 0.0])) if np.any(np.diff(time) > 0.0) else 1.0
     shift = np.zeros_like(time)
     for at in jumps:
         # a hole wide enough to break the line
-        shift[at + 1:] += time[at] - time[at + 1] + 10.0 * step
+        shift[at + 1 :] += time[at] - time[at + 1] + 10.0 * step
     return time + shift, "time, one log after another [s]"
 
 
@@ -276,9 +306,17 @@ def _axis_words(axis: str) -> str:
 def _axis_unit(explanation: Explanation, axis: str) -> str:
     base, axis = explanation.position_unit, axis.partition(" of joint ")[0]
     torque = "N.m" if base == "rad" else "N"
-    return {"time": "s", "position": base, "velocity": f"{base}/s", "acceleration": f"{base}/s2",
-            "voltage": explanation.voltage_unit, "voltage_rate": f"{explanation.voltage_unit}/s",
-            "current": "A", "supply_current": "A", "motor_angle": "rad"}.get(axis, torque)
+    return {
+        "time": "s",
+        "position": base,
+        "velocity": f"{base}/s",
+        "acceleration": f"{base}/s2",
+        "voltage": explanation.voltage_unit,
+        "voltage_rate": f"{explanation.voltage_unit}/s",
+        "current": "A",
+        "supply_current": "A",
+        "motor_angle": "rad",
+    }.get(axis, torque)
 
 
 def _signal(drawn: Drawn, axis: str, j: int) -> np.ndarray | None:

@@ -18,8 +18,20 @@ from . import report_tables as tables
 from .report_answers import answers, badge
 from .report_drawing import Chart, key_svg, svg
 from .report_style import CSS
-from .report_text import (DASH, SPACE, effect_name, gain, hypothesis, is_augmented, listed,
-                          mechanism, place, quantity, text, unit)
+from .report_text import (
+    DASH,
+    SPACE,
+    effect_name,
+    gain,
+    hypothesis,
+    is_augmented,
+    listed,
+    mechanism,
+    place,
+    quantity,
+    text,
+    unit,
+)
 from .result import DATA_FAULT, NOTHING_MISSING, Explanation, NamedEffect
 
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
@@ -48,9 +60,12 @@ _PAGE = """<!DOCTYPE html>
 </body>
 </html>
 """
-_WORDS = {"nominal": "nominal: the model as given", "retuned": "retuned: its parameters fitted, "
-          "nothing added", "augmented": "augmented: with what was found added",
-          "floor": "noise floor"}
+_WORDS = {
+    "nominal": "nominal: the model as given",
+    "retuned": "retuned: its parameters fitted, nothing added",
+    "augmented": "augmented: with what was found added",
+    "floor": "noise floor",
+}
 
 
 def page(explanation: Explanation) -> str:
@@ -58,18 +73,25 @@ def page(explanation: Explanation) -> str:
     e = explanation
     found = [(anchor, title, content) for anchor, title, content in _sections(e) if content]
     return _PAGE.format(
-        policy=_POLICY, css=CSS, verdict=text(e.verdict), dot="\N{MIDDLE DOT}",
+        policy=_POLICY,
+        css=CSS,
+        verdict=text(e.verdict),
+        dot="\N{MIDDLE DOT}",
         title=f"{badge(e)}: {text(', '.join(map(_base_name, e.logs)) or e.mechanism)}",
-        machine=mechanism(e), logs=_log_names(e), badge=badge(e), headline=text(e.sentence),
+        machine=mechanism(e),
+        logs=_log_names(e),
+        badge=badge(e),
+        headline=text(e.sentence),
         answers=answers(e),
-        contents="".join(f'<li><a href="#{anchor}">{title}</a></li>\n'
-                         for anchor, title, _ in found),
-        sections="".join(f'<section id="{anchor}">\n<h2>{title}</h2>\n{content}</section>\n'
-                         for anchor, title, content in found),
-        version=text(e.version or __version__), seed=e.seed,
+        contents="".join(f'<li><a href="#{anchor}">{title}</a></li>\n' for anchor, title, _ in found),
+        sections="".join(
+            f'<section id="{anchor}">\n<h2>{title}</h2>\n{content}</section>\n' for anchor, title, content in found
+        ),
+        version=text(e.version or __version__),
+        seed=e.seed,
         seconds=quantity(e.seconds, "s") if e.seconds else "no time",
-        model="" if e.model is None else ", the model with what was found in it in "
-                                         "<code>model.yaml</code>")
+        model="" if e.model is None else ", the model with what was found in it in <code>model.yaml</code>",
+    )
 
 
 def _sections(e: Explanation) -> list[tuple[str, str, str]]:
@@ -87,7 +109,8 @@ def _sections(e: Explanation) -> list[tuple[str, str, str]]:
         ("feedback", "Feedback in the recording", _feedback(e)),
         ("next", "What to measure next", _next(e)),
         ("parameters", "Parameters retuned", _parameters(e)),
-        ("logs", "Logs and settings", _logs(e))]
+        ("logs", "Logs and settings", _logs(e)),
+    ]
     if e.verdict == NOTHING_MISSING:
         sections.remove(unseen)
         sections.insert(2, unseen)
@@ -97,16 +120,21 @@ def _sections(e: Explanation) -> list[tuple[str, str, str]]:
 def _found(e: Explanation) -> str:
     parts = []
     if e.verdict == DATA_FAULT:
-        parts.append("<p>The data have a fault, so that nothing was sought in them: a name found "
-                     "in faulty data would be an accident.</p>\n")
+        parts.append(
+            "<p>The data have a fault, so that nothing was sought in them: a name found "
+            "in faulty data would be an accident.</p>\n"
+        )
     elif e.verdict == NOTHING_MISSING:
-        parts.append("<p>No effect of the library explains the residual of the retuned model "
-                     "better than chance does, and the residual looks like noise. This says "
-                     "something only of what the record could have shown: see "
-                     '<a href="#unseen">the smallest sizes that it could</a>.</p>\n')
+        parts.append(
+            "<p>No effect of the library explains the residual of the retuned model "
+            "better than chance does, and the residual looks like noise. This says "
+            "something only of what the record could have shown: see "
+            '<a href="#unseen">the smallest sizes that it could</a>.</p>\n'
+        )
     elif not e.effects:
-        parts.append("<p>The residual is not noise, and no effect of the library explains it. "
-                     "Its shape is below.</p>\n")
+        parts.append(
+            "<p>The residual is not noise, and no effect of the library explains it. Its shape is below.</p>\n"
+        )
     parts += [_effect(effect) for effect in e.effects]
     if e.notes:
         items = "".join(f"<li>{text(note)}</li>\n" for note in e.notes)
@@ -120,8 +148,7 @@ def _effect(effect: NamedEffect) -> str:
     kind = KINDS.get(effect.name)
     parts = [f"<h3>{hypothesis(effect)}</h3>\n"]
     if kind is not None:
-        parts.append(f"<p>{text(kind.sentence)} <span class=\"soft\">{text(kind.equation)}</span>"
-                     "</p>\n")
+        parts.append(f'<p>{text(kind.sentence)} <span class="soft">{text(kind.equation)}</span></p>\n')
     if effect.parameters:
         parts.append(tables.parameters_found(effect))
     parts.append(f"<p>Evidence: {gain(effect.evidence)} nat over the model without it.")
@@ -130,8 +157,7 @@ def _effect(effect: NamedEffect) -> str:
         parts.append(f" <b>Tied with {ties}</b>: this record cannot tell them apart.")
     if effect.ruled_out:
         names = dict.fromkeys(effect_name(each.name) for each in effect.ruled_out)
-        parts.append(f" Ruled out: {listed([_lower(name) for name in names])} "
-                     '(<a href="#ranking">reasons</a>).')
+        parts.append(f' Ruled out: {listed([_lower(name) for name in names])} (<a href="#ranking">reasons</a>).')
     return "".join(parts) + "</p>\n"
 
 
@@ -144,25 +170,29 @@ def _shape(e: Explanation) -> str:
     if shape is None:
         return ""
     if shape.line_hz is None:
-        parts = [f"<p>What is left on {place(shape.joint)} follows the "
-                 f"<b>{text(shape.axis.replace('_', ' '))}</b> better than any other variable."
-                 "</p>\n"]
+        parts = [
+            f"<p>What is left on {place(shape.joint)} follows the "
+            f"<b>{text(shape.axis.replace('_', ' '))}</b> better than any other variable."
+            "</p>\n"
+        ]
     else:
-        parts = [f"<p>What is left on {place(shape.joint)} is an oscillation: a line of the "
-                 f"spectrum at <b>{quantity(shape.line_hz, 'Hz')}</b>, whatever the motion.</p>\n"]
+        parts = [
+            f"<p>What is left on {place(shape.joint)} is an oscillation: a line of the "
+            f"spectrum at <b>{quantity(shape.line_hz, 'Hz')}</b>, whatever the motion.</p>\n"
+        ]
     if shape.ranking:
-        named = [f"{text(name.replace('_', ' '))} {gain(evidence)}{SPACE}nat"
-                 for name, evidence in shape.ranking[:8]]
+        named = [f"{text(name.replace('_', ' '))} {gain(evidence)}{SPACE}nat" for name, evidence in shape.ranking[:8]]
         parts.append(f'<p class="soft">Gain of evidence: {", ".join(named)}.</p>\n')
     curve = figures.shape_of_the_unnamed(e)
     clouds = [] if e.effects else figures.residual_against(e)
     keys = []
     if curve is not None:
-        keys += [("line", figures.COLOURS["retuned"], "mean"),
-                 ("band", figures.COLOURS["retuned"], f"95{SPACE}% band")]
+        keys += [("line", figures.COLOURS["retuned"], "mean"), ("band", figures.COLOURS["retuned"], f"95{SPACE}% band")]
     if clouds:
-        keys += [("points", figures.COLOURS[name], f"{name}, dots; mean, line")
-                 for name in ("retuned", *(["augmented"] if is_augmented(e) else []))]
+        keys += [
+            ("points", figures.COLOURS[name], f"{name}, dots; mean, line")
+            for name in ("retuned", *(["augmented"] if is_augmented(e) else []))
+        ]
     if keys:
         parts += [_drawn([*([] if curve is None else [curve]), *clouds], "shape"), _legend(keys)]
     return "".join(parts)
@@ -171,19 +201,25 @@ def _shape(e: Explanation) -> str:
 def _errors(e: Explanation) -> str:
     if not e.errors:
         return ""
-    words = ("The model <b>nominal</b> as given, <b>retuned</b> with its parameters fitted and "
-             "nothing added, and <b>augmented</b> with what was found; beside them what noise "
-             "alone would leave. Positions are of the model running in open loop from measured "
-             "states.")
-    pairs = (("position_rms", e.position_unit, "Open-loop position error, root mean square"),
-             ("voltage_rms", e.voltage_unit, "Residual, measured less predicted, root mean square"))
+    words = (
+        "The model <b>nominal</b> as given, <b>retuned</b> with its parameters fitted and "
+        "nothing added, and <b>augmented</b> with what was found; beside them what noise "
+        "alone would leave. Positions are of the model running in open loop from measured "
+        "states."
+    )
+    pairs = (
+        ("position_rms", e.position_unit, "Open-loop position error, root mean square"),
+        ("voltage_rms", e.voltage_unit, "Residual, measured less predicted, root mean square"),
+    )
     shown = "".join(f"<div>{tables.errors(e, *pair)}</div>\n" for pair in pairs)
     part = "held_out" if "held_out" in e.errors else "fit"
-    charts = [chart for name, _, _ in pairs
-              if (chart := figures.errors_chart(e, part, name)) is not None]
-    drawn = _drawn(charts, "errors", "two") + _legend(
-        [("marks", colour, _WORDS[name], figures.MARKS[name])
-         for name, colour in figures.COLOURS.items()]) if charts else ""
+    charts = [chart for name, _, _ in pairs if (chart := figures.errors_chart(e, part, name)) is not None]
+    drawn = (
+        _drawn(charts, "errors", "two")
+        + _legend([("marks", colour, _WORDS[name], figures.MARKS[name]) for name, colour in figures.COLOURS.items()])
+        if charts
+        else ""
+    )
     return f'<p>{words}</p>\n{drawn}<div class="errors">\n{shown}</div>\n'
 
 
@@ -193,26 +229,39 @@ def _residual(e: Explanation) -> str:
         return ""
     against = figures.residual_against(e) if e.effects else []
     stages = ("nominal", "retuned", "augmented") if is_augmented(e) else ("nominal", "retuned")
-    parts = [f"<p>Measured less predicted [{unit(e.voltage_unit)}]. What is explained should "
-             "leave a flat band of noise.</p>\n"]
+    parts = [
+        f"<p>Measured less predicted [{unit(e.voltage_unit)}]. What is explained should "
+        "leave a flat band of noise.</p>\n"
+    ]
     if against:
-        parts += ["<h3>Against the variable that matters</h3>\n", _drawn(against, "against"),
-                  _legend([("points", figures.COLOURS[name], f"{name}, dots; mean, line")
-                           for name in ("retuned", "augmented")])]
-    shaded = [("spans", figures.HELD_OUT, "kept back from the choice and the final fit")] if np.any(
-        np.asarray(e.drawn.held_out) > 0.5) else []
-    parts += ["<h3>In time</h3>\n", _drawn(in_time, "time"),
-              _legend([*(("line", figures.COLOURS[name], _WORDS[name]) for name in stages),
-                       *shaded])]
+        parts += [
+            "<h3>Against the variable that matters</h3>\n",
+            _drawn(against, "against"),
+            _legend(
+                [("points", figures.COLOURS[name], f"{name}, dots; mean, line") for name in ("retuned", "augmented")]
+            ),
+        ]
+    shaded = (
+        [("spans", figures.HELD_OUT, "kept back from the choice and the final fit")]
+        if np.any(np.asarray(e.drawn.held_out) > 0.5)
+        else []
+    )
+    parts += [
+        "<h3>In time</h3>\n",
+        _drawn(in_time, "time"),
+        _legend([*(("line", figures.COLOURS[name], _WORDS[name]) for name in stages), *shaded]),
+    ]
     return "".join(parts)
 
 
 def _ranking(e: Explanation) -> str:
     if not e.ranking and not any(effect.ruled_out for effect in e.effects):
         return ""
-    return ("<p>Each hypothesis was added alone to the retuned model. Evidence is the gain of the "
-            "log marginal likelihood in nat: it rises with the fit and falls with the freedom "
-            "that the fit takes. The model as it is has 0.</p>\n") + tables.ranking(e)
+    return (
+        "<p>Each hypothesis was added alone to the retuned model. Evidence is the gain of the "
+        "log marginal likelihood in nat: it rises with the fit and falls with the freedom "
+        "that the fit takes. The model as it is has 0.</p>\n"
+    ) + tables.ranking(e)
 
 
 def _whiteness(e: Explanation) -> str:
@@ -220,34 +269,44 @@ def _whiteness(e: Explanation) -> str:
     if not charts:
         return ""
     model = "augmented" if is_augmented(e) else "retuned"
-    return (f"<p>Autocorrelation of the residual of the {model} model, after the colour that the "
-            "noise itself has is taken out. Where nothing is left to find, nearly all lags stay "
-            f"in the band.</p>\n{_drawn(charts, 'white')}")
+    return (
+        f"<p>Autocorrelation of the residual of the {model} model, after the colour that the "
+        "noise itself has is taken out. Where nothing is left to find, nearly all lags stay "
+        f"in the band.</p>\n{_drawn(charts, 'white')}"
+    )
 
 
 def _unseen(e: Explanation) -> str:
     if not e.detectability:
         return ""
-    joints = max([each.joint or 1 for each in e.detectability] +
-                 [np.size(errors.position_rms.nominal) for errors in e.errors.values()])
+    joints = max(
+        [each.joint or 1 for each in e.detectability]
+        + [np.size(errors.position_rms.nominal) for errors in e.errors.values()]
+    )
     missing = tables.not_excited(e.detectability)
-    words = ("The motion of this record could have shown every effect of the library at a size "
-             "that a machine may have." if not missing else
-             f'<b class="unseen">Not excited</b>, so that the record says nothing about them: '
-             f"{listed([_lower(name) for name in missing])}.")
-    return (f"<p>{words}</p>\n<p>The table has the smallest size of each effect that would have "
-            "been seen in this record.</p>\n") + tables.detectability(e.detectability, joints)
+    words = (
+        "The motion of this record could have shown every effect of the library at a size that a machine may have."
+        if not missing
+        else f'<b class="unseen">Not excited</b>, so that the record says nothing about them: '
+        f"{listed([_lower(name) for name in missing])}."
+    )
+    return (
+        f"<p>{words}</p>\n<p>The table has the smallest size of each effect that would have "
+        "been seen in this record.</p>\n"
+    ) + tables.detectability(e.detectability, joints)
 
 
 def _feedback(e: Explanation) -> str:
     found = e.feedback_bias
     if found is None:
         return ""
-    mark = ('<b class="unseen">Feedback shows.</b> ' if found.biased else "")
-    return (f"<p>{mark}{text(found.sentence)}</p>\n{tables.feedback(found)}"
-            f'<p class="soft">Test of Durbin, Wu and Hausman; instruments: '
-            f"{text(found.instruments)}. A small p-value says that noise went round through the "
-            "controller, which makes false delay and elasticity.</p>\n")
+    mark = '<b class="unseen">Feedback shows.</b> ' if found.biased else ""
+    return (
+        f"<p>{mark}{text(found.sentence)}</p>\n{tables.feedback(found)}"
+        f'<p class="soft">Test of Durbin, Wu and Hausman; instruments: '
+        f"{text(found.instruments)}. A small p-value says that noise went round through the "
+        "controller, which makes false delay and elasticity.</p>\n"
+    )
 
 
 def _next(e: Explanation) -> str:
@@ -256,8 +315,7 @@ def _next(e: Explanation) -> str:
         return ""
     parts = [f"<p>{text(found.sentence)}</p>\n"]
     if found.separate:
-        parts.append(f"<p>It separates {listed([hypothesis(h, True) for h in found.separate])}."
-                     "</p>\n")
+        parts.append(f"<p>It separates {listed([hypothesis(h, True) for h in found.separate])}.</p>\n")
     if found.command:
         parts.append(f"<pre><code>{text(found.command)}</code></pre>\n")
     return "".join(parts)
@@ -266,23 +324,26 @@ def _next(e: Explanation) -> str:
 def _parameters(e: Explanation) -> str:
     if not e.parameters:
         return ""
-    return ("<p>Values at the start and after retuning, together with what was found. A parameter "
-            "that moves by many widths of its prior is a symptom of something else.</p>\n"
-            ) + tables.parameters_retuned(e.parameters)
+    return (
+        "<p>Values at the start and after retuning, together with what was found. A parameter "
+        "that moves by many widths of its prior is a symptom of something else.</p>\n"
+    ) + tables.parameters_retuned(e.parameters)
 
 
 def _logs(e: Explanation) -> str:
     fitted = "<br>".join(text(name) for name in e.logs) or DASH
     kept = "<br>".join(text(name) for name in e.held_out_logs)
-    own = ("quarters of the same log, each by parameters fitted to the others"
-           if "held_out" in e.errors else DASH)
-    facts = [("Fitted", fitted), ("Held out", kept or own),
-             ("Mechanism", mechanism(e)), ("Seed", str(e.seed)),
-             ("Version", text(e.version or __version__))]
+    own = "quarters of the same log, each by parameters fitted to the others" if "held_out" in e.errors else DASH
+    facts = [
+        ("Fitted", fitted),
+        ("Held out", kept or own),
+        ("Mechanism", mechanism(e)),
+        ("Seed", str(e.seed)),
+        ("Version", text(e.version or __version__)),
+    ]
     if e.seconds and math.isfinite(e.seconds):
         facts.append(("Run time", quantity(e.seconds, "s")))
-    return ('<dl class="facts">\n' + "".join(f"<dt>{name}</dt><dd>{value}</dd>\n"
-                                            for name, value in facts) + "</dl>\n")
+    return '<dl class="facts">\n' + "".join(f"<dt>{name}</dt><dd>{value}</dd>\n" for name, value in facts) + "</dl>\n"
 
 
 def _drawn(charts: list[Chart], prefix: str, kind: str = "") -> str:
@@ -290,13 +351,16 @@ def _drawn(charts: list[Chart], prefix: str, kind: str = "") -> str:
         f"<figure>\n<figcaption>{text(chart.title)}</figcaption>\n"
         f"{svg(chart, f'{prefix}-{index}')}\n"
         f"{f'<p>{text(chart.note)}</p>' if chart.note else ''}</figure>\n"
-        for index, chart in enumerate(charts))
+        for index, chart in enumerate(charts)
+    )
     return f'<div class="figures{" " + kind if kind else ""}">\n{drawn}</div>\n'
 
 
 def _legend(keys: list[tuple]) -> str:
-    items = "".join(f"<li>{key_svg(kind, colour, mark=mark[0] if mark else 'circle')}"
-                    f"<span>{words}</span></li>\n" for kind, colour, words, *mark in keys)
+    items = "".join(
+        f"<li>{key_svg(kind, colour, mark=mark[0] if mark else 'circle')}<span>{words}</span></li>\n"
+        for kind, colour, words, *mark in keys
+    )
     return f'<ul class="legend">\n{items}</ul>\n'
 
 

@@ -19,8 +19,12 @@ SPACE = "\N{NO-BREAK SPACE}"
 #: units that readers know with a prefix
 _SCALED = ("rad", "m", "s", "V", "A")
 _PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
-_HYPHENED = {"load dependent": "load-dependent", "position dependent": "position-dependent",
-             "dead band": "dead-band", "warm up": "warm-up"}
+_HYPHENED = {
+    "load dependent": "load-dependent",
+    "position dependent": "position-dependent",
+    "dead band": "dead-band",
+    "warm up": "warm-up",
+}
 _MECHANISMS = {"puma560": "PUMA 560"}
 
 
@@ -37,8 +41,10 @@ def number(value: float | None, digits: int = 3) -> str:
         return "0"
     power = math.floor(math.log10(abs(float(f"{value:.{digits - 1}e}"))))
     if not -3 <= power < 6:
-        return (f"{_fixed(value / 10.0 ** power, digits - 1)}\N{MULTIPLICATION SIGN}"
-                f"10<sup>{str(power).replace('-', MINUS)}</sup>")
+        return (
+            f"{_fixed(value / 10.0**power, digits - 1)}\N{MULTIPLICATION SIGN}"
+            f"10<sup>{str(power).replace('-', MINUS)}</sup>"
+        )
     return _fixed(value, max(0, digits - 1 - power))
 
 
@@ -56,10 +62,8 @@ def unit(name: str) -> str:
 
 def plain_unit(name: str) -> str:
     """A unit for the letters of a drawing, which has no raised ones."""
-    raised = str.maketrans("0123456789", "\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078"
-                                         "\u2079")
-    return re.sub(r"(?<=[A-Za-z])\^?(\d)", lambda m: m[1].translate(raised),
-                  name).replace(".", "\N{MIDDLE DOT}")
+    raised = str.maketrans("0123456789", "\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079")
+    return re.sub(r"(?<=[A-Za-z])\^?(\d)", lambda m: m[1].translate(raised), name).replace(".", "\N{MIDDLE DOT}")
 
 
 def scale(values: Iterable[float], name: str) -> tuple[float, str]:
@@ -120,7 +124,7 @@ def hypothesis(each: Hypothesis, lower: bool = False) -> str:
 
 
 def listed(words: Iterable[str], last: str = "and") -> str:
-    """"a, b and c"."""
+    """ "a, b and c"."""
     words = list(words)
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}"
 
@@ -142,7 +146,7 @@ def rms(values: np.ndarray) -> float:
     """Root of the mean square of what is finite; NaN where nothing is."""
     values = np.asarray(values, dtype=float)
     values = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(values ** 2))) if values.size else math.nan
+    return float(np.sqrt(np.mean(values**2))) if values.size else math.nan
 
 
 def is_augmented(e: Explanation) -> bool:
@@ -151,4 +155,6 @@ def is_augmented(e: Explanation) -> bool:
         return True
     return e.shape is not None and any(
         not np.array_equal(stages.augmented, stages.retuned, equal_nan=True)
-        for each in e.errors.values() for stages in (each.voltage_rms, each.position_rms))
+        for each in e.errors.values()
+        for stages in (each.voltage_rms, each.position_rms)
+    )

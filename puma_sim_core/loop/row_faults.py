@@ -48,15 +48,20 @@ def number_faults(log) -> list[Fault]:
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
             value = "no number" if np.isnan(values[bad[0]]) else f"{values[bad[0]]}"
-            found.append(Fault(name, int(bad[0]) + 1, f"{value} at {log.place(bad[0])}"
-                               f"{_more(bad)}; expected finite numbers"))
+            found.append(
+                Fault(name, int(bad[0]) + 1, f"{value} at {log.place(bad[0])}{_more(bad)}; expected finite numbers")
+            )
     if log.enable is not None and not found:
         for name, values in _enables(log):
             bad = np.flatnonzero((values != 0.0) & (values != 1.0))
             if bad.size:
-                found.append(Fault(name, int(bad[0]) + 1,
-                                   f"{values[bad[0]]:g} at {log.place(bad[0])}{_more(bad)}; "
-                                   "expected 0 (drive off) or 1"))
+                found.append(
+                    Fault(
+                        name,
+                        int(bad[0]) + 1,
+                        f"{values[bad[0]]:g} at {log.place(bad[0])}{_more(bad)}; expected 0 (drive off) or 1",
+                    )
+                )
     return found
 
 
@@ -64,28 +69,47 @@ def time_faults(log) -> list[Fault]:
     """Time stamps that stand, go back, leave rows out, or come too slowly; finite numbers."""
     steps = np.diff(log.time)
     found = []
-    for what, bad in (("goes back", np.flatnonzero(steps < 0.0)),
-                      ("is repeated", np.flatnonzero(steps == 0.0))):
+    for what, bad in (("goes back", np.flatnonzero(steps < 0.0)), ("is repeated", np.flatnonzero(steps == 0.0))):
         if bad.size:
             r = int(bad[0]) + 1
-            found.append(Fault("time", r + 1, f"{log.time[r]:.9g} s after {log.time[r - 1]:.9g} s "
-                               f"at {log.place(r)}: time {what}{_more(bad)}; expected times that "
-                               "increase"))
+            found.append(
+                Fault(
+                    "time",
+                    r + 1,
+                    f"{log.time[r]:.9g} s after {log.time[r - 1]:.9g} s "
+                    f"at {log.place(r)}: time {what}{_more(bad)}; expected times that "
+                    "increase",
+                )
+            )
     middle = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0
     if middle > SLOWEST:
-        found.append(Fault("time", None, f"rows come each {middle:.3g} s; expected times in "
-                           f"seconds, and rows each {SLOWEST} s at least"))
+        found.append(
+            Fault(
+                "time",
+                None,
+                f"rows come each {middle:.3g} s; expected times in seconds, and rows each {SLOWEST} s at least",
+            )
+        )
     if found or not middle:
         return found
     far = np.abs(steps / middle - 1.0) > _EVEN
-    limit = (_GAP_EVEN if far.mean() < _EVEN_SHARE else
-             max(_GAP_UNEVEN, _GAP_TAIL * float(np.quantile(steps, 0.99)) / middle)) * middle
+    limit = (
+        _GAP_EVEN
+        if far.mean() < _EVEN_SHARE
+        else max(_GAP_UNEVEN, _GAP_TAIL * float(np.quantile(steps, 0.99)) / middle)
+    ) * middle
     gaps = np.flatnonzero(steps > limit)
     if gaps.size:
         r = int(gaps[0]) + 1
-        found.append(Fault("time", r + 1, f"a gap of {steps[r - 1]:.4g} s before {log.place(r)}, "
-                           f"about {steps[r - 1] / middle - 1.0:.0f} rows{_more(gaps)}; expected "
-                           f"rows each {middle:.4g} s"))
+        found.append(
+            Fault(
+                "time",
+                r + 1,
+                f"a gap of {steps[r - 1]:.4g} s before {log.place(r)}, "
+                f"about {steps[r - 1] / middle - 1.0:.0f} rows{_more(gaps)}; expected "
+                f"rows each {middle:.4g} s",
+            )
+        )
     return found
 
 
@@ -111,16 +135,22 @@ def jitter_faults(log) -> list[Fault]:
         return []
     first = None if uneven.mean() > 0.5 else int(np.flatnonzero(uneven)[0]) + 2
     spread = 100.0 * float(np.std(steps[1:][uneven])) / middle
-    return [Fault("time", first, f"the stamps jump by {spread:.0f} % of a row while the positions "
-                  "move on evenly: they are not the times of the samples; expected stamps of an "
-                  "even clock")]
+    return [
+        Fault(
+            "time",
+            first,
+            f"the stamps jump by {spread:.0f} % of a row while the positions "
+            "move on evenly: they are not the times of the samples; expected stamps of an "
+            "even clock",
+        )
+    ]
 
 
 def bounds(log, model: Plausibility) -> np.ndarray:
     """(J,) accelerations that the drives cannot exceed; finite numbers."""
     m = model.mechanism
     volts = np.quantile(np.abs(log.voltage), 0.999, axis=0)
-    inertia = m.inertia(model.theta, log.position[::max(1, len(log) // 500)]).min(axis=0)
+    inertia = m.inertia(model.theta, log.position[:: max(1, len(log) // 500)]).min(axis=0)
     inertia = np.maximum(inertia, 0.0) + model.drive.motor_inertia
     torque = 2.0 * volts / model.k + _BLOW * model.unit / model.k
     return _MARGIN * torque / inertia
@@ -140,21 +170,30 @@ def position_faults(log, model: Plausibility) -> list[Fault]:
             r = int(r)
             if r <= taken:
                 continue
-            back = _comes_back(log, j, r, line.rows[n + 1:], line)
+            back = _comes_back(log, j, r, line.rows[n + 1 :], line)
             start = _run_before(log.position[:, j], r)
             if back is not None:
                 taken = back
                 values = f"{log.position[r, j]:.5g} at {log.place(r)}"
-                what = (f"a spike: {values}" if back == r + 1 else
-                        f"a drop-out of {back - r} rows: {values}")
-                found.append(Fault(f"position{j + 1}", r + 1,
-                                   f"{what}, {line.excess[r]:.3g} beside its neighbours; expected "
-                                   "a motion that the drive can make"))
+                what = f"a spike: {values}" if back == r + 1 else f"a drop-out of {back - r} rows: {values}"
+                found.append(
+                    Fault(
+                        f"position{j + 1}",
+                        r + 1,
+                        f"{what}, {line.excess[r]:.3g} beside its neighbours; expected "
+                        "a motion that the drive can make",
+                    )
+                )
             elif r - start >= 4:
-                found.append(Fault(f"position{j + 1}", start + 2,
-                                   f"frozen at {log.position[start, j]:.6g} from "
-                                   f"{log.place(start + 1)} to {log.place(r - 1)}, then a jump by "
-                                   f"{line.excess[r]:.3g}; expected a motion that goes on"))
+                found.append(
+                    Fault(
+                        f"position{j + 1}",
+                        start + 2,
+                        f"frozen at {log.position[start, j]:.6g} from "
+                        f"{log.place(start + 1)} to {log.place(r - 1)}, then a jump by "
+                        f"{line.excess[r]:.3g}; expected a motion that goes on",
+                    )
+                )
             else:
                 jumps.setdefault(r, []).append(j)
     for r, parts in jumps.items():
@@ -177,21 +216,27 @@ class _Line:
 def _out_of_line(log, j, limit, volts, model) -> _Line:
     q, steps = log.position[:, j], np.diff(log.time)
     slope = np.diff(q) / steps
-    padded = np.concatenate([np.full(_AROUND, slope[:_AROUND].mean()), slope,
-                             np.full(_AROUND, slope[-_AROUND:].mean())])
+    padded = np.concatenate(
+        [np.full(_AROUND, slope[:_AROUND].mean()), slope, np.full(_AROUND, slope[-_AROUND:].mean())]
+    )
     middle = np.median(sliding_window_view(padded, _AROUND), axis=1)
-    before, after = middle[:len(slope)], middle[_AROUND + 1:_AROUND + 1 + len(slope)]
+    before, after = middle[: len(slope)], middle[_AROUND + 1 : _AROUND + 1 + len(slope)]
     inside = np.clip(slope, np.minimum(before, after), np.maximum(before, after))
     excess = np.r_[0.0, (slope - inside) * steps]
     bend = np.abs(np.diff(q, 2))
     noise = 1.4826 * float(np.median(bend)) / np.sqrt(6.0)
-    reach = limit * steps ** 2
+    reach = limit * steps**2
     if model.drive.emf[j] > 0.0:
         reach = np.minimum(reach, 3.0 * volts / model.speed[j] * steps)
     allowed = np.maximum(reach, max(10.0 * noise, 4.0 * log.quantum[j], 1e-9))
     allowed = np.r_[np.inf, allowed]
-    return _Line(np.flatnonzero(np.abs(excess) > allowed), excess, allowed,
-                 np.r_[0.0, 0.5 * (before + after)], np.r_[0.0, np.abs(after - before)])
+    return _Line(
+        np.flatnonzero(np.abs(excess) > allowed),
+        excess,
+        allowed,
+        np.r_[0.0, 0.5 * (before + after)],
+        np.r_[0.0, np.abs(after - before)],
+    )
 
 
 def _comes_back(log, j, r, later, line) -> int | None:
@@ -201,8 +246,7 @@ def _comes_back(log, j, r, later, line) -> int | None:
         if k - r > _SPIKE:
             break
         expected = q[r - 1] + line.slope[r] * (t[k] - t[r - 1])
-        if (abs(q[k] - expected) < 0.3 * abs(line.excess[r])
-                and line.excess[k] * line.excess[r] < 0.0):
+        if abs(q[k] - expected) < 0.3 * abs(line.excess[r]) and line.excess[k] * line.excess[r] < 0.0:
             return int(k)
     return None
 
@@ -222,13 +266,27 @@ def _jump(log, r: int, parts: list[int], lines: list[_Line]) -> list[Fault]:
     onward = lost > 0.0 and all(
         abs(line.excess[r] - lost * line.slope[r])
         < lost * (0.3 * abs(line.slope[r]) + 0.5 * line.bend[r]) + line.allowed[r]
-        for line in lines)
-    found = [Fault(f"position{j + 1}", r + 1, f"a jump by {lines[j].excess[r]:.3g} at "
-                   f"{log.place(r)}; expected a motion that the drive can make") for j in parts]
+        for line in lines
+    )
+    found = [
+        Fault(
+            f"position{j + 1}",
+            r + 1,
+            f"a jump by {lines[j].excess[r]:.3g} at {log.place(r)}; expected a motion that the drive can make",
+        )
+        for j in parts
+    ]
     if onward:
-        found.insert(0, Fault("time", r + 1, f"the motion jumps on by {lost:.3g} s at "
-                              f"{log.place(r)} while the stamps do not: rows are missing; expected "
-                              "every row, or stamps that tell of the gap"))
+        found.insert(
+            0,
+            Fault(
+                "time",
+                r + 1,
+                f"the motion jumps on by {lost:.3g} s at "
+                f"{log.place(r)} while the stamps do not: rows are missing; expected "
+                "every row, or stamps that tell of the gap",
+            ),
+        )
     return found
 
 
@@ -238,8 +296,10 @@ def voltage_spikes(log, model: Plausibility) -> list[Fault]:
     steps = np.diff(log.time)
     middle = float(np.median(steps))
     m = max(3, int(0.012 / middle))
-    inertia = (np.maximum(model.mechanism.inertia(model.theta, log.position[::max(
-        1, len(log) // 500)]).mean(axis=0), 0.0) + model.drive.motor_inertia)
+    inertia = (
+        np.maximum(model.mechanism.inertia(model.theta, log.position[:: max(1, len(log) // 500)]).mean(axis=0), 0.0)
+        + model.drive.motor_inertia
+    )
     for j in range(log.joints):
         v, q = log.voltage[:, j], log.position[:, j]
         padded = np.r_[np.full(3, v[0]), v, np.full(3, v[-1])]
@@ -255,20 +315,23 @@ def voltage_spikes(log, model: Plausibility) -> list[Fault]:
             kick = away[r] * middle / (model.k[j] * inertia[j])
             slow = model.k[j] * inertia[j] / model.speed[j] if model.speed[j] > 0.0 else np.inf
             span = m * middle
-            travel = kick * slow * (1.0 - np.exp(-span / slow)) if np.isfinite(slow) \
-                else kick * span
+            travel = kick * slow * (1.0 - np.exp(-span / slow)) if np.isfinite(slow) else kick * span
             # the bend at the row, beside those of the motion before and after
-            before, seen, after = (q[k + m] - 2.0 * q[k] + q[k - m]
-                                   for k in (r - 2 * m, r, r + 2 * m))
+            before, seen, after = (q[k + m] - 2.0 * q[k] + q[k - m] for k in (r - 2 * m, r, r + 2 * m))
             seen -= 0.5 * (before + after)
             others = float(np.quantile(np.abs(v), 0.999))
             felt = abs(travel) > 4.0 * noise and seen / travel > 0.4
             told = abs(travel) > 4.0 * noise or abs(v[r]) > 3.0 * others
             if told and not felt:
-                found.append(Fault(f"voltage{j + 1}", int(r) + 1,
-                                   f"a spike: {v[r]:.4g} V at {log.place(r)} between "
-                                   f"{v[r - 1]:.4g} and {v[r + 1]:.4g} V, which the joint did not "
-                                   "feel; expected the voltage that acted"))
+                found.append(
+                    Fault(
+                        f"voltage{j + 1}",
+                        int(r) + 1,
+                        f"a spike: {v[r]:.4g} V at {log.place(r)} between "
+                        f"{v[r - 1]:.4g} and {v[r + 1]:.4g} V, which the joint did not "
+                        "feel; expected the voltage that acted",
+                    )
+                )
                 break
     return found
 
@@ -282,9 +345,12 @@ def frozen_positions(log, model: Plausibility, c: Coarse) -> list[Fault]:
     for j in range(log.joints):
         fit, q = fits[j], log.position[:, j]
         if fit.rows and model.share(fit, j) > _EXPLAINED:
-            continue            # neither is the motion, then
-        held = (_STUCK_UNKNOWN * model.unit[j] if fit.dry is None else
-                min(_STUCK_UNKNOWN * model.unit[j], _STUCK * fit.dry + _BESIDE * model.unit[j]))
+            continue  # neither is the motion, then
+        held = (
+            _STUCK_UNKNOWN * model.unit[j]
+            if fit.dry is None
+            else min(_STUCK_UNKNOWN * model.unit[j], _STUCK * fit.dry + _BESIDE * model.unit[j])
+        )
         beyond = c.voltage[:, j] - static[:, j]
         beyond = np.sign(beyond) * np.maximum(np.abs(beyond) - held, 0.0) * (c.enable[:, j] > 0.99)
         low, high = float(q.min()), float(q.max())
@@ -293,7 +359,7 @@ def frozen_positions(log, model: Plausibility, c: Coarse) -> list[Fault]:
             if inside.sum() < 3:
                 continue
             push = beyond[inside]
-            if low < high:      # a stop, or friction with the weight, at an end of the travel
+            if low < high:  # a stop, or friction with the weight, at an end of the travel
                 steady = np.ptp(c.voltage[inside, j]) < 2.0 * model.unit[j]
                 beyond_end = np.inf if steady else _AT_AN_END * held
                 if q[first] >= high - 0.02 * (high - low):
@@ -304,11 +370,15 @@ def frozen_positions(log, model: Plausibility, c: Coarse) -> list[Fault]:
             width = float(np.ptp(model.mechanism.ranges[j]))
             if travel > max(_FROZEN_TRAVEL * width, 20.0 * log.quantum[j]):
                 whole = last - first >= 0.98 * len(q)
-                found.append(Fault(
-                    f"position{j + 1}", None if whole else int(first) + 2,
-                    f"frozen at {q[first]:.6g} from {log.place(first + 1)} to {log.place(last)} "
-                    f"while its voltage must move it by {travel:.2g}; expected a motion, or a "
-                    "voltage that friction can hold"))
+                found.append(
+                    Fault(
+                        f"position{j + 1}",
+                        None if whole else int(first) + 2,
+                        f"frozen at {q[first]:.6g} from {log.place(first + 1)} to {log.place(last)} "
+                        f"while its voltage must move it by {travel:.2g}; expected a motion, or a "
+                        "voltage that friction can hold",
+                    )
+                )
                 break
     return found
 
@@ -322,13 +392,18 @@ def frozen_voltages(log, model: Plausibility, c: Coarse) -> list[Fault]:
         runs = _runs(v, log.time, 0.25)
         greatest = float(np.abs(v).max())
         if np.ptp(v) == 0.0 and model.share(model.fit(c, j), j) > _EXPLAINED:
-            found.append(Fault(f"voltage{j + 1}", None, f"frozen at {v[0]:.5g} V while the joint "
-                               "moves otherwise; expected the voltage that acted"))
+            found.append(
+                Fault(
+                    f"voltage{j + 1}",
+                    None,
+                    f"frozen at {v[0]:.5g} V while the joint moves otherwise; expected the voltage that acted",
+                )
+            )
         if sum(b - a for a, b in runs) > 0.6 * len(v):
-            continue            # a voltage of steps
+            continue  # a voltage of steps
         for first, last in runs:
             if v[first] == 0.0 or abs(v[first]) > 0.97 * greatest:
-                continue        # off, or at the limit of the supply
+                continue  # off, or at the limit of the supply
             start, end = log.time[first], log.time[last]
             near = (at > start - 0.2) & (at < end + 0.2)
             inside = (at > start + 0.05) & (at < end - 0.05) & model.moving(c, j)
@@ -337,10 +412,15 @@ def frozen_voltages(log, model: Plausibility, c: Coarse) -> list[Fault]:
                 continue
             here = float(np.sqrt(np.mean(fit.residual[inside] ** 2)))
             if here > max(model.unit[j], 8.0 * fit.left):
-                found.append(Fault(f"voltage{j + 1}", int(first) + 2,
-                                   f"frozen at {v[first]:.5g} V from {log.place(first + 1)} to "
-                                   f"{log.place(last)}, {here:.2g} V beside what the motion "
-                                   "takes; expected the voltage that acted"))
+                found.append(
+                    Fault(
+                        f"voltage{j + 1}",
+                        int(first) + 2,
+                        f"frozen at {v[first]:.5g} V from {log.place(first + 1)} to "
+                        f"{log.place(last)}, {here:.2g} V beside what the motion "
+                        "takes; expected the voltage that acted",
+                    )
+                )
                 break
     return found
 

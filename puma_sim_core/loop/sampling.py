@@ -69,7 +69,7 @@ class Sampled:
     def velocity_noise(self) -> np.ndarray:
         """(J,) standard deviation of `velocity` [rad/s] by the noise of the positions."""
         f = np.fft.rfftfreq(4096, self.step)
-        density = 2.0 * self.position_noise ** 2 * self.step
+        density = 2.0 * self.position_noise**2 * self.step
         gain = np.sum((2 * np.pi * f * filters.response(f, self.cutoffs[0])) ** 2) * (f[1] - f[0])
         return np.sqrt(density * gain)
 
@@ -77,14 +77,15 @@ class Sampled:
         """Columns (n, ...) through the second filter, log by log; see `filters.low_pass`."""
         out = np.empty_like(values, dtype=float)
         for rows in self.stretches:
-            out[rows], = filters.low_pass(values[rows], self.step, self.cutoffs[1], (order,), lag)
+            (out[rows],) = filters.low_pass(values[rows], self.step, self.cutoffs[1], (order,), lag)
         return out
 
     def kept(self) -> np.ndarray:
         """Rows that are read after the second filter: each `every`-th one away from the ends."""
         margin = int(np.ceil(sum(map(filters.edge, self.cutoffs)) / self.step))
-        return np.concatenate([np.arange(rows.start + margin, rows.stop - margin, self.every)
-                               for rows in self.stretches]).astype(int)
+        return np.concatenate(
+            [np.arange(rows.start + margin, rows.stop - margin, self.every) for rows in self.stretches]
+        ).astype(int)
 
 
 def sample(logs: Sequence) -> Sampled:
@@ -102,27 +103,42 @@ def sample(logs: Sequence) -> Sampled:
     parts = []
     for number, log in enumerate(logs):
         if log.time[-1] - log.time[0] < shortest:
-            raise RecordingError(f"lasts {log.time[-1] - log.time[0]:.3g} s", where=log.name,
-                                 expected=f"{shortest:.2g} s at least")
+            raise RecordingError(
+                f"lasts {log.time[-1] - log.time[0]:.3g} s", where=log.name, expected=f"{shortest:.2g} s at least"
+            )
         parts.append(_on_grid(log, step, first, number))
-    joined = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]
-              if parts[0][key] is not None and all(part[key] is not None for part in parts)}
+    joined = {
+        key: np.concatenate([part[key] for part in parts])
+        for key in parts[0]
+        if parts[0][key] is not None and all(part[key] is not None for part in parts)
+    }
     raw = [part.pop("raw") for part in parts]
     joined.pop("raw", None)
-    quantum = np.array([_quantum(np.concatenate([log.position[:, j] for log in logs]))
-                        for j in range(logs[0].position.shape[1])])
+    quantum = np.array(
+        [_quantum(np.concatenate([log.position[:, j] for log in logs])) for j in range(logs[0].position.shape[1])]
+    )
     noise = np.maximum(_white_noise(raw, step, first), quantum / np.sqrt(12.0))
     every = max(1, int(1.0 / (step * _KEPT * second)))
-    return Sampled(step=step, quantum=quantum, position_noise=noise, cutoffs=(first, second),
-                   every=every, setpoint=joined.pop("setpoint", None), **joined)
+    return Sampled(
+        step=step,
+        quantum=quantum,
+        position_noise=noise,
+        cutoffs=(first, second),
+        every=every,
+        setpoint=joined.pop("setpoint", None),
+        **joined,
+    )
 
 
 def _on_grid(log, step: float, cutoff: float, number: int) -> dict:
     gaps = np.diff(log.time)
     even = abs(gaps / step - 1.0).max() < _EVEN
     J = log.position.shape[1]
-    enable = np.ones(log.voltage.shape) if log.enable is None else np.broadcast_to(
-        np.reshape(log.enable, (len(log.time), -1)), log.voltage.shape).astype(float)
+    enable = (
+        np.ones(log.voltage.shape)
+        if log.enable is None
+        else np.broadcast_to(np.reshape(log.enable, (len(log.time), -1)), log.voltage.shape).astype(float)
+    )
     drive = np.where(enable > 0.0, log.voltage, 0.0)
     if even:
         time = log.time[1:]
@@ -134,20 +150,32 @@ def _on_grid(log, step: float, cutoff: float, number: int) -> dict:
         time = log.time[0] + step * np.arange(1, n)
         pairs = [_held_mean(log.time, a, time, step) for a in (drive, enable)]
         position = Akima1DInterpolator(log.time, log.position, axis=0)(time)
-        setpoint = None if log.setpoint is None else np.column_stack(
-            [np.interp(time, log.time, log.setpoint[:, j]) for j in range(J)])
+        setpoint = (
+            None
+            if log.setpoint is None
+            else np.column_stack([np.interp(time, log.time, log.setpoint[:, j]) for j in range(J)])
+        )
     q, qd, qdd = filters.low_pass(position, step, cutoff, (0, 1, 2))
-    return {"time": time, "segment": np.full(len(time), number), "voltage": pairs[0],
-            "enable": pairs[1], "position": q, "velocity": qd, "acceleration": qdd,
-            "setpoint": setpoint, "raw": position}
+    return {
+        "time": time,
+        "segment": np.full(len(time), number),
+        "voltage": pairs[0],
+        "enable": pairs[1],
+        "position": q,
+        "velocity": qd,
+        "acceleration": qdd,
+        "setpoint": setpoint,
+        "raw": position,
+    }
 
 
 def _held_mean(time, values, at, step) -> np.ndarray:
     """Means over [at - step/2, at + step/2] of values that hold from row to row."""
-    area = np.vstack([np.zeros((1, values.shape[1])),
-                      np.cumsum(values[:-1] * np.diff(time)[:, None], axis=0)])
+    area = np.vstack([np.zeros((1, values.shape[1])), np.cumsum(values[:-1] * np.diff(time)[:, None], axis=0)])
+
     def to(t):
         return np.column_stack([np.interp(t, time, area[:, j]) for j in range(values.shape[1])])
+
     return (to(at + 0.5 * step) - to(at - 0.5 * step)) / step
 
 
@@ -175,5 +203,5 @@ def _white_noise(raw, step, cutoff) -> np.ndarray:
         spectrum = np.abs(np.fft.rfft((position - position[0] - slope) * window, axis=0)) ** 2
         high = np.fft.rfftfreq(n, step) > min(1.5 * cutoff, 0.4 / step)
         power = power + np.median(spectrum[high], axis=0) / np.log(2.0)
-        share += float((window ** 2).sum())
+        share += float((window**2).sum())
     return np.sqrt(power / share)

@@ -58,15 +58,14 @@ class Fit:
     @property
     def coefficients(self) -> np.ndarray:
         """(p + c,) posterior means: parameters less their start, then coefficients of effects."""
-        mean = np.concatenate([np.zeros(len(self.linear.theta)),
-                               *[c.scored.entry.candidate.mean for c in self.chosen]])
+        mean = np.concatenate([np.zeros(len(self.linear.theta)), *[c.scored.entry.candidate.mean for c in self.chosen]])
         return mean + self.base.coefficients
 
     @property
     def theta(self) -> np.ndarray:
         """Parameters by this fit, within their bounds."""
         m = self.problem.mechanism
-        return m.clip(m.start + self.coefficients[:len(self.linear.theta)])
+        return m.clip(m.start + self.coefficients[: len(self.linear.theta)])
 
     def residual(self) -> np.ndarray:
         """(m, J) residual [V] of the fitted model, at all kept rows."""
@@ -75,8 +74,7 @@ class Fit:
 
     def of(self, number: int) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients (p,) of a chosen effect and their covariance (p, p)."""
-        at = len(self.linear.theta) + sum(
-            len(c.scored.entry.candidate.mean) for c in self.chosen[:number])
+        at = len(self.linear.theta) + sum(len(c.scored.entry.candidate.mean) for c in self.chosen[:number])
         rows = slice(at, at + len(self.chosen[number].scored.entry.candidate.mean))
         return self.coefficients[rows], self.base.covariance[rows, rows]
 
@@ -103,8 +101,7 @@ def assemble(problem: Problem, linear: Linear, chosen, centred: bool = True):
 class Search:
     """The screening of one problem on filtered motion."""
 
-    def __init__(self, problem: Problem, library,
-                 progress: Callable[[str, float], None] = lambda what, share: None):
+    def __init__(self, problem: Problem, library, progress: Callable[[str, float], None] = lambda what, share: None):
         self.problem = problem
         self.library = library
         self.progress = progress
@@ -114,9 +111,12 @@ class Search:
         drive = m.drive(m.start)
         inertia = m.inertia(m.start, s.position).mean(axis=0) + drive.motor_inertia
         most = max(rows.stop - rows.start for rows in p.stretches)
-        self.sources = [noise.sources(s, float(drive.volts_per_torque[j] * inertia[j]),
-                                      float(drive.emf[j]), float(drive.lag[j]), most)
-                        for j in range(s.joints)]
+        self.sources = [
+            noise.sources(
+                s, float(drive.volts_per_torque[j] * inertia[j]), float(drive.emf[j]), float(drive.lag[j]), most
+            )
+            for j in range(s.joints)
+        ]
         self.place = np.concatenate([np.arange(rows.stop - rows.start) for rows in p.stretches])
         self._whiteners: dict = {}
 
@@ -128,19 +128,17 @@ class Search:
         if key not in self._whiteners:
             rows = (self.problem.held_rows if held else self.problem.fit_rows)(joint)
             self._whiteners[key] = noise.Whitener(
-                weights @ self.sources[joint].covariances, rows, self.place[rows],
-                self.problem.segment[rows])
+                weights @ self.sources[joint].covariances, rows, self.place[rows], self.problem.segment[rows]
+            )
         return self._whiteners[key]
 
     def base(self, linear, chosen, weights) -> Fit:
         """The fit of parameters and chosen effects in a given noise."""
         p = self.problem
         y, columns = assemble(p, linear, chosen)
-        deviation = np.concatenate([p.mechanism.deviations,
-                                    *[c.scored.entry.candidate.deviation for c in chosen]])
+        deviation = np.concatenate([p.mechanism.deviations, *[c.scored.entry.candidate.deviation for c in chosen]])
         whiteners = [self.whitener(j, weights[j]) for j in range(y.shape[1])]
-        return Fit(p, linear, tuple(chosen), weights, Base(whiteners, y, columns, deviation),
-                   whiteners)
+        return Fit(p, linear, tuple(chosen), weights, Base(whiteners, y, columns, deviation), whiteners)
 
     def noise_of(self, residual: np.ndarray, white_only: bool = False) -> list[np.ndarray]:
         """Weights of the noise of each joint for a residual (m, J) [V] at all kept rows."""
@@ -150,8 +148,9 @@ class Search:
             usable = np.zeros(len(p.kept), dtype=bool)
             usable[p.fit_rows(j)] = True
             budget = noise.least_weights(p.sampled, j, len(self.sources[j].spectra))
-            result.append(noise.fit_weights(self.sources[j], p.sampled, residual[:, j], usable,
-                                            p.stretches, budget, white_only))
+            result.append(
+                noise.fit_weights(self.sources[j], p.sampled, residual[:, j], usable, p.stretches, budget, white_only)
+            )
         return result
 
     def settle(self, linear, chosen, weights=None, rounds: int = 2) -> Fit:
@@ -172,8 +171,7 @@ class Search:
         fit = None
         for _ in range(_RETUNINGS):
             linear = self.problem.linear(theta)
-            fit = self.settle(linear, chosen, None if fit is None else fit.weights,
-                              2 if fit is None else 1)
+            fit = self.settle(linear, chosen, None if fit is None else fit.weights, 2 if fit is None else 1)
             step = np.abs(fit.theta - theta) / self.problem.mechanism.deviations
             theta = fit.theta
             if step.max() < 0.05:
@@ -186,14 +184,21 @@ class Search:
         signals = replace(p.signals(theta), residual=p.full_residual(theta))
         bank = Bank(p.sampled.joints)
         known = {(e.kind.name, e.joint) for e in m.effects}
-        jobs = [(name, kind, j) for name, kind in self.library.items()
-                if not kind.screening.fast
-                for j in ([None] if not kind.per_joint else range(p.sampled.joints))
-                if (name, None if j is None else j + 1) not in known]
+        jobs = [
+            (name, kind, j)
+            for name, kind in self.library.items()
+            if not kind.screening.fast
+            for j in ([None] if not kind.per_joint else range(p.sampled.joints))
+            if (name, None if j is None else j + 1) not in known
+        ]
         for number, (name, kind, j) in enumerate(jobs):
             self.progress("screening", 0.05 + 0.15 * number / len(jobs))
-            bank.add(name, None if j is None else j + 1, kind.screening.candidates(signals, j),
-                     lambda c: p.reduce(c, signals))
+            bank.add(
+                name,
+                None if j is None else j + 1,
+                kind.screening.candidates(signals, j),
+                lambda c: p.reduce(c, signals),
+            )
         bank.freeze()
         return bank
 
@@ -213,8 +218,7 @@ class Search:
             if not legal:
                 return Stage(fit, scores, None, None)
             again = legal[0]
-            if best is not None and again.name == best.name and again.joint == best.joint \
-                    and again.entry is best.entry:
+            if best is not None and again.name == best.name and again.joint == best.joint and again.entry is best.entry:
                 break
             best = again
             with_best = self.settle(linear, (*chosen, self.choose(best, bank)))
@@ -227,8 +231,7 @@ class Search:
     def ranked(self, fit: Fit, bank: Bank) -> list[Scored]:
         """Scores of all hypotheses that are not in the model yet, best first."""
         taken = {c.key for c in fit.chosen}
-        scores = [s for s in screen(fit.base, fit.base.whiten(bank))
-                  if (s.name, s.joint) not in taken]
+        scores = [s for s in screen(fit.base, fit.base.whiten(bank)) if (s.name, s.joint) not in taken]
         return sorted(scores, key=lambda s: -s.gain)
 
 

@@ -48,8 +48,7 @@ class Stage:
 
 def entered(stages: list[Stage], key: tuple) -> Stage | None:
     """The stage by which an effect entered; None of one that replaced another."""
-    return next((stage for stage in stages if stage.accepted is not None
-                 and stage.accepted.key == key), None)
+    return next((stage for stage in stages if stage.accepted is not None and stage.accepted.key == key), None)
 
 
 @dataclass(frozen=True)

@@ -54,8 +54,9 @@ _GIVING_WAY = 0.4
 class Selection:
     """The choice on one problem."""
 
-    def __init__(self, search: Search, predictor: Predictor, library, seed: int,
-                 progress: Callable[[str, float], None]):
+    def __init__(
+        self, search: Search, predictor: Predictor, library, seed: int, progress: Callable[[str, float], None]
+    ):
         self.search = search
         self.problem = search.problem
         self.predictor = predictor
@@ -104,14 +105,22 @@ class Selection:
         keys = tuple(selected.keys[n] for n in kept)
         point = selected.final.point if keys else selected.retuned.point
         point = Point(point.theta, tuple(point.effects[n] for n in kept) if keys else ())
-        found = self._finished(selected.retuned, point, keys, selected.stages,
-                               selected.weighting, selected.prices, selected.swapped)
+        found = self._finished(
+            selected.retuned, point, keys, selected.stages, selected.weighting, selected.prices, selected.swapped
+        )
         return replace(found, retracted=(*selected.retracted, key))
 
     def bare(self, selected: Selected) -> Selected:
         """The selection without any effect."""
-        found = self._finished(selected.retuned, selected.retuned.point, (), selected.stages,
-                               selected.weighting, selected.prices, selected.swapped)
+        found = self._finished(
+            selected.retuned,
+            selected.retuned.point,
+            (),
+            selected.stages,
+            selected.weighting,
+            selected.prices,
+            selected.swapped,
+        )
         return replace(found, retracted=(*selected.retracted, *selected.keys))
 
     def _finished(self, retuned, point, keys, stages, weighting, prices, swapped) -> Selected:
@@ -121,8 +130,7 @@ class Selection:
         final, _ = fit.to_end(point, pairs, gain=0.5, times=_REFITS)
         final = replace(final, jacobian=fit.white(fit.derivatives(final.point, pairs)))
         # the model that was retuned and no more, in the same noise: else two noises are compared
-        retuned = (final if not keys else
-                   fit.to_end(retuned.point, (), gain=0.5, times=_REFITS)[0])
+        retuned = final if not keys else fit.to_end(retuned.point, (), gain=0.5, times=_REFITS)[0]
         return Selected(retuned, final, keys, stages, weighting, prices, swapped)
 
     def _rebased(self, fit, base: Fitted, raw, known_free, trials):
@@ -139,10 +147,16 @@ class Selection:
             return base, raw, trials
         anew, raw = fit.to_end(min(found)[2], known_free, near=raw)
         less = base.objective - anew.objective
-        return anew, raw, [t if t.fitted is None else
-                           replace(t, gain=t.gain - less,
-                                   held_gain=self.trials.held_gain(fit, anew, t.fitted, t.gain))
-                           for t in trials]
+        return (
+            anew,
+            raw,
+            [
+                t
+                if t.fitted is None
+                else replace(t, gain=t.gain - less, held_gain=self.trials.held_gain(fit, anew, t.fitted, t.gain))
+                for t in trials
+            ],
+        )
 
     # one stage
 
@@ -156,10 +170,10 @@ class Selection:
         short, screened = self.short_list.of(keys, base.point, causal)
         top = max((s.gain for s in short), default=0.0)
         most = 1 if base.point.heavy else _AGAIN
-        far = {id(s) for s in sorted(short, key=lambda s: -s.gain)[:most]
-               if s.gain > max(LEAST_GAIN, _WORTH_MORE * top)}
-        trials = each(lambda s: self.trials.run(fit, base, known, known_free, s,
-                                                again=id(s) in far), short)
+        far = {
+            id(s) for s in sorted(short, key=lambda s: -s.gain)[:most] if s.gain > max(LEAST_GAIN, _WORTH_MORE * top)
+        }
+        trials = each(lambda s: self.trials.run(fit, base, known, known_free, s, again=id(s) in far), short)
         trials = self.refits.nested(fit, base, raw, known_free, short, trials)
         trials = self.refits.resumed(fit, base, raw, known_free, short, trials, stages)
         base, raw, trials = self._rebased(fit, base, raw, known_free, trials)
@@ -169,9 +183,14 @@ class Selection:
         fit = PredictionFit(self.predictor, weighting)
         base, raw = fit.to_end(base.point, known_free, raw)
         known = fit.white(raw)
-        trials = each(lambda pair: pair[1] if pair[1].fitted is None else
-                      self.trials.run(fit, base, known, known_free, pair[0],
-                                      pair[1].fitted.point), zip(short, trials))
+        trials = each(
+            lambda pair: (
+                pair[1]
+                if pair[1].fitted is None
+                else self.trials.run(fit, base, known, known_free, pair[0], pair[1].fitted.point)
+            ),
+            zip(short, trials),
+        )
         if self._moved_away(self._held_volts(*before), self._held_volts(fit, base, raw, trials)):
             # what no effect explains was taken for noise, and the fit has moved away from it
             fit, base, raw, trials = before
@@ -187,14 +206,27 @@ class Selection:
             chance = self._placebo(fit, best, short, nearest(base, raw))
             accepted = self._parsimonious(best, trials)
         threshold = max(LEAST_GAIN, PLACEBO_FACTOR * chance + PLACEBO_MARGIN)
-        stage = Stage(trials, threshold, base, screened, weighting, None, chance,
-                      self._gains(stages[0]) if stages else {})
+        stage = Stage(
+            trials, threshold, base, screened, weighting, None, chance, self._gains(stages[0]) if stages else {}
+        )
         # one that does not lower the error on rows kept back gives way to the next that does
-        passing = [t for t in trials if t.problem is None and t.held_gain > 0.0
-                   and t.gain > max(stage.needed(t.joint), _GIVING_WAY * best.gain,
-                                    stage.needed_untried(t.joint) if t.untried else 0.0,
-                                    LEAST_TWO_MASSES if t.name in TWO_MASSES else 0.0)
-                   ] if best else []
+        passing = (
+            [
+                t
+                for t in trials
+                if t.problem is None
+                and t.held_gain > 0.0
+                and t.gain
+                > max(
+                    stage.needed(t.joint),
+                    _GIVING_WAY * best.gain,
+                    stage.needed_untried(t.joint) if t.untried else 0.0,
+                    LEAST_TWO_MASSES if t.name in TWO_MASSES else 0.0,
+                )
+            ]
+            if best
+            else []
+        )
         if accepted is not None and accepted not in passing:
             accepted = self._parsimonious(passing[0], passing) if passing else None
         stage.accepted = accepted
@@ -205,10 +237,8 @@ class Selection:
         if stage.accepted is None:
             return {}
         rows, total = self.predictor.fit_rows, stage.accepted.gain
-        less = 0.5 * np.where(
-            rows, stage.base.errors ** 2 - stage.accepted.fitted.errors ** 2, 0.0).sum(axis=0)
-        return {None: total, **{j + 1: max(min(gain, total), ELSEWHERE * total)
-                                for j, gain in enumerate(less)}}
+        less = 0.5 * np.where(rows, stage.base.errors**2 - stage.accepted.fitted.errors**2, 0.0).sum(axis=0)
+        return {None: total, **{j + 1: max(min(gain, total), ELSEWHERE * total) for j, gain in enumerate(less)}}
 
     @staticmethod
     def _moved_away(before: np.ndarray, after: np.ndarray) -> bool:
@@ -229,8 +259,7 @@ class Selection:
         noise for all from a single best model would take for noise what another joint lacks."""
         rows = self.predictor.fit_rows
         fitted = [base, *(t.fitted for t in trials if t.fitted is not None and t.problem is None)]
-        left = np.array([[(f.errors[rows[:, j], j] ** 2).sum() for j in range(rows.shape[1])]
-                         for f in fitted])
+        left = np.array([[(f.errors[rows[:, j], j] ** 2).sum() for j in range(rows.shape[1])] for f in fitted])
         found: dict = {}
         errors = np.empty(rows.shape)
         for j, number in enumerate(left.argmin(axis=0)):
@@ -253,8 +282,7 @@ class Selection:
         for s in short:
             kind = self.library[s.name]
             j = None if s.joint is None else s.joint - 1
-            got = causal.score(s.name, s.joint, kind.screening.candidates(causal.signals, j),
-                               self.shifts)
+            got = causal.score(s.name, s.joint, kind.screening.candidates(causal.signals, j), self.shifts)
             if got is not None:
                 greatest = max(greatest, float(np.max(got[1])))
         return greatest
@@ -268,6 +296,9 @@ class Selection:
             room = max(PARSIMONY - (best.price - t.price), least)
             return t.gain > best.gain - room or best.vanishing
 
-        simpler = [t for t in trials if t.problem is None and t.joint == best.joint
-                   and t.name in screening.contains and needless(t)]
+        simpler = [
+            t
+            for t in trials
+            if t.problem is None and t.joint == best.joint and t.name in screening.contains and needless(t)
+        ]
         return max(simpler, key=lambda t: t.gain) if simpler else best

@@ -140,8 +140,7 @@ class Judge:
             c = candidates[n]
             usual = np.where(c.mean != 0.0, c.mean, 0.5 * c.deviation)
             try:
-                return (Effect(suspect.kind, None if suspect.joint is None else suspect.joint + 1,
-                               c.values(usual)),)
+                return (Effect(suspect.kind, None if suspect.joint is None else suspect.joint + 1, c.values(usual)),)
             except (Illegal, ParameterError):
                 continue
         return ()
@@ -153,8 +152,7 @@ class Judge:
     def columns(self, motion: Motion) -> int:
         """Number of columns of all suspects."""
         signals = self.planned(motion)
-        return sum(len(c.columns) for suspect in self.suspects
-                   for c in self._candidates(suspect, signals))
+        return sum(len(c.columns) for suspect in self.suspects for c in self._candidates(suspect, signals))
 
     def _candidates(self, suspect: Suspect, signals: Signals) -> list[Candidate]:
         return suspect.kind.screening.candidates(signals, suspect.joint)
@@ -165,8 +163,7 @@ class Judge:
         for number in {n for pair in directions for n in pair if n is not None}:
             candidates = self._candidates(self.suspects[number], signals)
             banks[number] = list(zip(candidates, base.reduced(candidates))) if candidates else []
-        return [_distance(base, banks[of], None if against is None else banks[against])
-                for of, against in directions]
+        return [_distance(base, banks[of], None if against is None else banks[against]) for of, against in directions]
 
 
 def velocity_noise(mechanism: Mechanism) -> np.ndarray:
@@ -193,9 +190,8 @@ def play(plant, motion: Motion, time, volts, max_step: float = SERVO_PERIOD) -> 
     """(n, J) measured positions of a plant under voltages, from rest in the motion's pose on; None
     where its state stops being finite."""
     simulator = Simulator(plant, max_step=max_step)
-    motors = plant.arm.motors[3 - plant.joints:]
-    simulator.reset(tuple(motion.centre), current=tuple(
-        v / motor.resistance for v, motor in zip(volts[0], motors)))
+    motors = plant.arm.motors[3 - plant.joints :]
+    simulator.reset(tuple(motion.centre), current=tuple(v / motor.resistance for v, motor in zip(volts[0], motors)))
     try:
         return simulator.run(time, volts).position
     except NonFiniteStateError:
@@ -221,15 +217,14 @@ class _Parameters:
         out = np.empty((len(rows), signals.joints, len(theta)))
         for j in range(signals.joints):
             k, lag = drive.volts_per_torque[j], drive.lag[j]
-            acting, = filters.low_pass(by_torque[:, j], _COARSE, _SECOND, (0,), lag)
+            (acting,) = filters.low_pass(by_torque[:, j], _COARSE, _SECOND, (0,), lag)
             T0, T1 = filters.low_pass(torque[:, j], _COARSE, _SECOND, (0, 1))
-            w, = filters.low_pass(qd[:, j], _COARSE, _SECOND)
+            (w,) = filters.low_pass(qd[:, j], _COARSE, _SECOND)
             out[:, j] = k * acting[rows]
             out[:, j] += np.outer((T0 + lag * T1)[rows], slopes.volts_per_torque[j])
             out[:, j] += np.outer(T1[rows], k * slopes.lag[j]) + np.outer(w[rows], slopes.emf[j])
         self.N = self._rows(out * mechanism.deviations)
-        self.factor = cho_factor(np.eye(self.N.shape[1]) + _product(self.N, self.N),
-                                 lower=True)
+        self.factor = cho_factor(np.eye(self.N.shape[1]) + _product(self.N, self.N), lower=True)
 
     def _rows(self, values: np.ndarray) -> np.ndarray:
         """(m, J, p) as (m J, p) in units of the noise, 0 where a joint rests."""
@@ -253,8 +248,7 @@ class _Parameters:
                 if not full:
                     continue
                 torque = unit == TORQUE_COLUMN
-                past, = filters.low_pass(np.stack(full, axis=1), s.step, _SECOND, (0,),
-                                         s.lag[j] if torque else 0.0)
+                (past,) = filters.low_pass(np.stack(full, axis=1), s.step, _SECOND, (0,), s.lag[j] if torque else 0.0)
                 out[:, j, at] = past[self.kept] * (s.volts_per_torque[j] if torque else 1.0)
         return np.split(self._rows(out), np.cumsum(widths)[:-1], axis=1)
 
@@ -269,7 +263,7 @@ def _product(A: np.ndarray, B: np.ndarray) -> np.ndarray:
     gains here, and lets the last bits depend on the number of cores."""
     out = np.zeros((A.shape[1], B.shape[1]))
     for first in range(0, len(A), _BLOCK):
-        out += A[first:first + _BLOCK].T @ B[first:first + _BLOCK]
+        out += A[first : first + _BLOCK].T @ B[first : first + _BLOCK]
     return out
 
 
@@ -302,7 +296,7 @@ def _distance(base: _Parameters, of, against) -> Distance:
         own = slice(at, at + p)
         at += p
         # mean square of coefficients of a usual effect
-        M = np.outer(candidate.mean, candidate.mean) + np.diag(candidate.deviation ** 2)
+        M = np.outer(candidate.mean, candidate.mean) + np.diag(candidate.deviation**2)
         left = free = float((G[own, own] * M).sum())
         for other in others:
             inner = G[other, other]

@@ -75,16 +75,17 @@ def axes(signals: Signals, joint: int, position_unit: str = "rad") -> list[Axis]
     velocity = signals.velocity[:, joint]
     direction = velocity / np.hypot(velocity, 2.0 * signals.velocity_noise[joint] + 1e-9)
     acceleration = _past_mean(signals, signals.acceleration[:, joint])
-    quantities = [("position", u, signals.position[:, joint]),
-                  ("velocity", f"{u}/s", velocity),
-                  ("acceleration", f"{u}/s^2", acceleration),
-                  ("voltage", "V", signals.voltage[:, joint]),
-                  ("torque", effort, signals.torque[:, joint])]
+    quantities = [
+        ("position", u, signals.position[:, joint]),
+        ("velocity", f"{u}/s", velocity),
+        ("acceleration", f"{u}/s^2", acceleration),
+        ("voltage", "V", signals.voltage[:, joint]),
+        ("torque", effort, signals.torque[:, joint]),
+    ]
     for other in range(signals.joints):
         if other != joint:
             quantities.append((f"position of joint {other + 1}", u, signals.position[:, other]))
-            quantities.append((f"velocity of joint {other + 1}", f"{u}/s",
-                               signals.velocity[:, other]))
+            quantities.append((f"velocity of joint {other + 1}", f"{u}/s", signals.velocity[:, other]))
             quantities.append((f"torque of joint {other + 1}", effort, signals.torque[:, other]))
     found = []
     for name, unit, values in quantities:
@@ -104,8 +105,7 @@ def axes(signals: Signals, joint: int, position_unit: str = "rad") -> list[Axis]
             found.append(Axis(name, unit, values, fine, hats(values, fine), _FINE))
         if name in ("position", "voltage"):
             widths = (high - low) * _PLAYS
-            found.append(Axis(name, unit, values, widths,
-                              _plays(values, signals.segment, widths), _HYSTERESIS))
+            found.append(Axis(name, unit, values, widths, _plays(values, signals.segment, widths), _HYSTERESIS))
     time = signals.time
     count = int(np.clip((time.max() - time.min()) / _TIME_KNOT, 8, _MOST_TIME_KNOTS))
     knots = np.linspace(time.min(), time.max(), count)
@@ -126,8 +126,7 @@ def _past_mean(signals: Signals, values) -> np.ndarray:
 def _plays(values, segment, widths) -> np.ndarray:
     """(n, k) what a play of each width [unit of values] holds back of a quantity: a bank of
     Prandtl and Ishlinskii, which has the shape of any hysteresis without a rate."""
-    return np.column_stack([play(np.ascontiguousarray(values), segment, 0.5 * float(w))
-                            for w in widths])
+    return np.column_stack([play(np.ascontiguousarray(values), segment, 0.5 * float(w)) for w in widths])
 
 
 @compiled
@@ -185,21 +184,25 @@ def curves(causal, position_unit: str = "rad", joints=None) -> list[Curve]:
             continue
         height = _HEIGHT * float(signals.volts_per_torque[j] * signals.torque_scale[j])
         for axis in axes(signals, j, position_unit):
-            columns = axis.columns if not axis.way == _HYSTERESIS else (
-                axis.columns * (height / axis.knots[-1]))
+            columns = axis.columns if not axis.way == _HYSTERESIS else (axis.columns * (height / axis.knots[-1]))
             p = columns.shape[1]
-            candidate = Candidate(tuple({j: column} for column in columns.T), VOLTAGE_COLUMN,
-                                  np.zeros(p), np.full(p, height), _free, {"height": height})
+            candidate = Candidate(
+                tuple({j: column} for column in columns.T),
+                VOLTAGE_COLUMN,
+                np.zeros(p),
+                np.full(p, height),
+                _free,
+                {"height": height},
+            )
             add(axis.name, j + 1, [(candidate, causal.columns(candidate))], axis, axis.way)
         add("line", j + 1, _time_lines(causal, j, height), None)
         add("time", j + 1, *_step(causal, j, height), _STEP)
         if signals.gear[j] > 1.0:
             torque = _past_mean(signals, signals.torque[:, j])
-            size = float(np.sqrt(np.mean(torque ** 2))) or 1.0
+            size = float(np.sqrt(np.mean(torque**2))) or 1.0
             add("motor_angle", j + 1, _angle_lines(causal, j, height, 1.0), None)
             # of currents that do not commutate evenly
-            add("motor_angle", j + 1, _angle_lines(causal, j, height, torque / size), None,
-                _WITH_TORQUE)
+            add("motor_angle", j + 1, _angle_lines(causal, j, height, torque / size), None, _WITH_TORQUE)
     return sorted(found, key=lambda curve: -curve.scored.gain)
 
 
@@ -210,8 +213,11 @@ def again(causal, curve: Curve) -> Curve:
         pairs = [(candidate, causal.columns(candidate))]
     else:
         line = candidate.grid["frequency"]
-        pairs = [pair for pair in _time_lines(causal, joint - 1, float(candidate.deviation[0]))
-                 if pair[0].grid["frequency"] == line]
+        pairs = [
+            pair
+            for pair in _time_lines(causal, joint - 1, float(candidate.deviation[0]))
+            if pair[0].grid["frequency"] == line
+        ]
     return replace(curve, scored=causal.score_columns(curve.scored.name, joint, pairs), pairs=pairs)
 
 
@@ -228,8 +234,9 @@ def simplest_first(found: list[Curve]) -> list[Curve]:
     one with many knots, as over time, has the shape of anything."""
     if not found:
         return found
-    near = [c for c in found if c.scored.joint == found[0].scored.joint
-            and c.scored.gain > _NEARLY * found[0].scored.gain]
+    near = [
+        c for c in found if c.scored.joint == found[0].scored.joint and c.scored.gain > _NEARLY * found[0].scored.gain
+    ]
     first = min(near or found[:1], key=lambda c: len(c.scored.coefficients))
     return [first, *(c for c in found if c is not first)]
 
@@ -251,8 +258,7 @@ def noise(causal, found: list[Curve]):
     for j in range(causal.J):
         best = colour.noise(predictor, alone[:, j], j, before)
         most = best.log_likelihood
-        own = [c for c in found if c.axis is not None and c.scored.joint == j + 1
-               and c.scored.gain > _CLEAR]
+        own = [c for c in found if c.axis is not None and c.scored.joint == j + 1 and c.scored.gain > _CLEAR]
         for curve in own[:_RIVALS]:
             left = causal.left(curve.scored.entry.candidate, curve.scored.coefficients)
             noise_left = colour.noise(predictor, left[:, j], j, before)
@@ -281,8 +287,14 @@ def _step(causal, j, height) -> tuple[list, Axis]:
         found = []
         for place in places:
             column = (time > place).astype(float)
-            candidate = Candidate(({j: column},), VOLTAGE_COLUMN, np.zeros(1), np.array([height]),
-                                  _free, {"height": height, "time": float(place)})
+            candidate = Candidate(
+                ({j: column},),
+                VOLTAGE_COLUMN,
+                np.zeros(1),
+                np.array([height]),
+                _free,
+                {"height": height, "time": float(place)},
+            )
             found.append((candidate, causal.columns(candidate)))
         return found
 
@@ -300,8 +312,13 @@ def _time_lines(causal, j, height) -> _Lines:
     length = time.max() - time.min()
     top = causal.problem.sampled.cutoffs[1]
     frequencies = np.arange(_LEAST_PERIODS / length, _TOP_LINE * top, 1.0 / (_LINES * length))
-    return _Lines(j, time, causal.response(j, frequencies), frequencies,
-                  [_pair(height, {"frequency": float(f)}) for f in frequencies])
+    return _Lines(
+        j,
+        time,
+        causal.response(j, frequencies),
+        frequencies,
+        [_pair(height, {"frequency": float(f)}) for f in frequencies],
+    )
 
 
 @dataclass(frozen=True)
@@ -321,8 +338,7 @@ class _Lines:
     def __iter__(self):
         for candidate, f, gain in zip(self.candidates, self.frequencies, self.gains):
             phase = 2.0 * np.pi * f * self.time + np.angle(gain)
-            yield candidate, {self.joint: abs(gain) * np.column_stack([np.sin(phase),
-                                                                       np.cos(phase)])}
+            yield candidate, {self.joint: abs(gain) * np.column_stack([np.sin(phase), np.cos(phase)])}
 
 
 def _angle_lines(causal, j, height, factor) -> list:
@@ -335,8 +351,7 @@ def _angle_lines(causal, j, height, factor) -> list:
             continue
         phase = order * signals.gear[j] * signals.position[:, j]
         columns = {j: factor * np.sin(phase)}, {j: factor * np.cos(phase)}
-        candidate = Candidate(columns, VOLTAGE_COLUMN,
-                              np.zeros(2), np.full(2, height), _free, {"order": float(order)})
+        candidate = Candidate(columns, VOLTAGE_COLUMN, np.zeros(2), np.full(2, height), _free, {"order": float(order)})
         pairs.append((candidate, causal.columns(candidate)))
     return pairs
 
@@ -349,23 +364,56 @@ def describe(best: Curve, ranking) -> Shape:
     if axis is not None and axis.way == _HYSTERESIS:
         # the branch after a reversal: each play gives way until its width is used up
         change = np.concatenate([[0.0], axis.knots])
-        columns = scored.entry.candidate.grid["height"] / axis.knots[-1] * (
-            np.minimum(change[:, None], axis.knots) - 0.5 * axis.knots)
+        columns = (
+            scored.entry.candidate.grid["height"]
+            / axis.knots[-1]
+            * (np.minimum(change[:, None], axis.knots) - 0.5 * axis.knots)
+        )
         curve = columns @ heights
         band = 1.96 * np.sqrt(np.einsum("ij,jk,ik->i", columns, scored.covariance, columns))
-        return Shape(axis.name, axis.unit, scored.joint, change, curve, curve - band, curve + band,
-                     None, ranking, axis.way)
+        return Shape(
+            axis.name, axis.unit, scored.joint, change, curve, curve - band, curve + band, None, ranking, axis.way
+        )
     if axis is not None:
         if axis.way == _STEP:
             heights, spread = (np.array([0.0, 0.0, x[0], x[0]]) for x in (heights, spread))
-        return Shape(axis.name, axis.unit, scored.joint, axis.knots, heights, heights - spread,
-                     heights + spread, None, ranking, axis.way)
+        return Shape(
+            axis.name,
+            axis.unit,
+            scored.joint,
+            axis.knots,
+            heights,
+            heights - spread,
+            heights + spread,
+            None,
+            ranking,
+            axis.way,
+        )
     phase = np.linspace(0.0, 2.0 * np.pi, 33)
     curve = heights[0] * np.sin(phase) + heights[1] * np.cos(phase)
     band = np.sqrt((np.sin(phase) * spread[0]) ** 2 + (np.cos(phase) * spread[1]) ** 2)
     grid = scored.entry.candidate.grid
     if "frequency" in grid:
-        return Shape("time", "s", scored.joint, phase / (2.0 * np.pi * grid["frequency"]), curve,
-                     curve - band, curve + band, grid["frequency"], ranking)
-    return Shape("motor_angle", "rad", scored.joint, phase / grid["order"], curve, curve - band,
-                 curve + band, None, ranking, best.way)
+        return Shape(
+            "time",
+            "s",
+            scored.joint,
+            phase / (2.0 * np.pi * grid["frequency"]),
+            curve,
+            curve - band,
+            curve + band,
+            grid["frequency"],
+            ranking,
+        )
+    return Shape(
+        "motor_angle",
+        "rad",
+        scored.joint,
+        phase / grid["order"],
+        curve,
+        curve - band,
+        curve + band,
+        None,
+        ranking,
+        best.way,
+    )

@@ -43,27 +43,29 @@ class ShortList:
         slow, fast = self._slow(keys, point), self._fast(causal, keys)
         # a model of two masses a joint takes some ten times as long
         share = 2 if point.heavy else 1
-        short = self._completed(_joined(slow[:_SLOW // share], fast[:_FAST // share]), causal, keys)
+        short = self._completed(_joined(slow[: _SLOW // share], fast[: _FAST // share]), causal, keys)
         return short, sorted(slow + fast, key=lambda s: -s.gain)
 
     def _slow(self, keys, point: Point) -> list[Scored]:
         """By the filtered motion."""
         linear = self.search.problem.linear(point.theta, point.effects)
         stage = self.search.stage(linear, (), self.bank)
-        return [s for s in stage.scores if s.values is not None and s.gain > _LEAST_SCREENED
-                and (s.name, s.joint) not in keys]
+        return [
+            s
+            for s in stage.scores
+            if s.values is not None and s.gain > _LEAST_SCREENED and (s.name, s.joint) not in keys
+        ]
 
     def _fast(self, causal: CausalScreen, keys) -> list[Scored]:
         """By the innovations."""
         found = []
         for name, kind in self.library.items():
-            for j in ([None] if not kind.per_joint else range(causal.J)):
+            for j in [None] if not kind.per_joint else range(causal.J):
                 joint = None if j is None else j + 1
                 if (name, joint) in keys:
                     continue
                 scored = causal.score(name, joint, kind.screening.candidates(causal.signals, j))
-                if scored is not None and scored.values is not None \
-                        and scored.gain > _LEAST_SCREENED:
+                if scored is not None and scored.values is not None and scored.gain > _LEAST_SCREENED:
                     found.append(scored)
         return sorted(found, key=lambda s: -s.gain)
 
@@ -78,12 +80,14 @@ class ShortList:
             screening = self.library[s.name].screening
             names = list(screening.contains) if screening.generous else []
             if s.gain > _FAMILY * top:
-                names += [name for name, kind in self.library.items()
-                          if s.name in kind.screening.contains and not kind.screening.generous]
+                names += [
+                    name
+                    for name, kind in self.library.items()
+                    if s.name in kind.screening.contains and not kind.screening.generous
+                ]
             for name in names:
                 if name in self.library and (name, s.joint) not in taken:
-                    candidates = self.library[name].screening.candidates(causal.signals,
-                                                                         s.joint - 1)
+                    candidates = self.library[name].screening.candidates(causal.signals, s.joint - 1)
                     scored = causal.score(name, s.joint, candidates)
                     if scored is not None and scored.values is not None:
                         taken.add((name, s.joint))
@@ -94,8 +98,9 @@ class ShortList:
             for name, kind in self.library.items():
                 values = dict(kind.screening.unseen)
                 if values and j + 1 not in two and (name, j + 1) not in taken:
-                    found.append(Scored(name, int(j) + 1, 0.0, 0.0, None, None, None, values,
-                                        price=_UNSEEN_PRICE * len(values)))
+                    found.append(
+                        Scored(name, int(j) + 1, 0.0, 0.0, None, None, None, values, price=_UNSEEN_PRICE * len(values))
+                    )
         return found
 
 

@@ -41,8 +41,7 @@ class Tidying:
         fit = PredictionFit(self.predictor, weighting)
         for number in range(len(keys) - 1):
             rest = tuple(k for n, k in enumerate(keys) if n != number)
-            without = Point(point.theta, tuple(e for n, e in enumerate(point.effects)
-                                               if n != number))
+            without = Point(point.theta, tuple(e for n, e in enumerate(point.effects) if n != number))
             pairs = self.trials.free(point, keys)
             known = fit.white(fit.derivatives(point, pairs))
             full = fit.run(point, (), known=known, known_free=pairs)
@@ -64,15 +63,13 @@ class Tidying:
                 tried = fit.run(moved, names, known=known[:, columns], known_free=free, rounds=4)
                 if tried is None or self.trials.implausible(tried.point.effects[-1]):
                     continue
-                gain = full.objective - tried.objective - rival.price + prices.get(
-                    keys[number], 0.0)
+                gain = full.objective - tried.objective - rival.price + prices.get(keys[number], 0.0)
                 if gain > SWAP and (best is None or gain > best[0]):
                     best = gain, rival, tried
             if best is not None:
                 _, rival, tried = best
                 prices[rival.key] = rival.price
-                swapped[rival.key] = (entered(stages, keys[number]),
-                                      bare.objective - tried.objective - rival.price)
+                swapped[rival.key] = (entered(stages, keys[number]), bare.objective - tried.objective - rival.price)
                 return tried.point, (*rest, rival.key)
         return point, keys
 
@@ -87,9 +84,8 @@ class Tidying:
                 continue
 
             def exact(about: Point, trial: Trial, effect: Effect) -> tuple[Fitted, Trial]:
-                others = (*keys[:number], trial.key, *keys[number + 1:])
-                at = Point(about.theta, (*about.effects[:number], effect,
-                                         *about.effects[number + 1:]))
+                others = (*keys[:number], trial.key, *keys[number + 1 :])
+                at = Point(about.theta, (*about.effects[:number], effect, *about.effects[number + 1 :]))
                 return fit.to_end(at, self.trials.free(at, others))[0], trial
 
             stage = entered(stages, key)
@@ -97,17 +93,21 @@ class Tidying:
             first = best = exact(point, own, point.effects[number])
             full = first[0].point
             # from what was tried, and with what the two have in common as it is now
-            simpler = min((exact(full, t, effect) for t in contained for effect in (
-                t.fitted.point.effects[-1],
-                _alike(t.fitted.point.effects[-1], full.effects[number]))),
-                key=lambda pair: pair[0].objective)
+            simpler = min(
+                (
+                    exact(full, t, effect)
+                    for t in contained
+                    for effect in (t.fitted.point.effects[-1], _alike(t.fitted.point.effects[-1], full.effects[number]))
+                ),
+                key=lambda pair: pair[0].objective,
+            )
             promised = own.gain + own.price - simpler[1].gain - simpler[1].price
             if abs(simpler[0].objective - first[0].objective - promised) > _UNFINISHED:
-                others = (exact(full, t, t.fitted.point.effects[-1])
-                          for t in self._containing(stage, simpler[1], keys))
-                best = min((first, *(pair for pair in others if not self.trials.implausible(
-                    pair[0].point.effects[number]))),
-                    key=lambda pair: pair[0].objective + pair[1].price)
+                others = (exact(full, t, t.fitted.point.effects[-1]) for t in self._containing(stage, simpler[1], keys))
+                best = min(
+                    (first, *(pair for pair in others if not self.trials.implausible(pair[0].point.effects[number]))),
+                    key=lambda pair: pair[0].objective + pair[1].price,
+                )
             gain = stage.accepted.gain
             lost = simpler[0].objective - best[0].objective
             less = best[1].price - simpler[1].price
@@ -116,9 +116,8 @@ class Tidying:
                 continue
             fitted, trial = chosen
             prices[trial.key] = trial.price
-            swapped[trial.key] = stage, (gain + first[0].objective - fitted.objective
-                                         + own.price - trial.price)
-            point, keys = fitted.point, (*keys[:number], trial.key, *keys[number + 1:])
+            swapped[trial.key] = stage, (gain + first[0].objective - fitted.objective + own.price - trial.price)
+            point, keys = fitted.point, (*keys[:number], trial.key, *keys[number + 1 :])
         return point, keys
 
     def _contained(self, stages, key, keys) -> list[Trial]:
@@ -126,14 +125,27 @@ class Tidying:
         stage, screening = entered(stages, key), self.library[key[0]].screening
         if stage is None or screening.generous:
             return []
-        return [t for t in stage.trials if t.joint == key[1] and t.name in screening.contains
-                and t.key not in keys and t.fitted is not None and t.problem is None]
+        return [
+            t
+            for t in stage.trials
+            if t.joint == key[1]
+            and t.name in screening.contains
+            and t.key not in keys
+            and t.fitted is not None
+            and t.problem is None
+        ]
 
     def _containing(self, stage: Stage, simpler: Trial, keys) -> list[Trial]:
         """Trials of a stage, on the joint of a simpler one, of the kinds that contain it."""
-        return [t for t in stage.trials if t.joint == simpler.joint and t.key not in keys
-                and simpler.name in self.library[t.name].screening.contains
-                and t.fitted is not None and t.problem is None]
+        return [
+            t
+            for t in stage.trials
+            if t.joint == simpler.joint
+            and t.key not in keys
+            and simpler.name in self.library[t.name].screening.contains
+            and t.fitted is not None
+            and t.problem is None
+        ]
 
     def _rivals(self, stages, key, keys) -> list[Trial]:
         """Trials beside the one by which an effect entered that may take its place: the best, and
@@ -141,16 +153,28 @@ class Tidying:
         stage = entered(stages, key)
         if stage is None:
             return []
-        near = [t for t in stage.trials if t.key != key and t.key not in keys
-                and t.fitted is not None and t.problem is None
-                and t.gain > _RIVAL * stage.accepted.gain]
-        return [t for n, t in enumerate(near) if n < _RIVALS or (
-            t.joint == key[1] and key[0] in self.library[t.name].screening.contains)]
+        near = [
+            t
+            for t in stage.trials
+            if t.key != key
+            and t.key not in keys
+            and t.fitted is not None
+            and t.problem is None
+            and t.gain > _RIVAL * stage.accepted.gain
+        ]
+        return [
+            t
+            for n, t in enumerate(near)
+            if n < _RIVALS or (t.joint == key[1] and key[0] in self.library[t.name].screening.contains)
+        ]
 
 
 def _alike(effect: Effect, other: Effect) -> Effect:
     """An effect with the values of those parameters that it shares with another."""
     own = {p.name: p for p in effect.kind.parameters}
-    shared = {name: min(max(value, own[name].low), own[name].high)
-              for name, value in other.values.items() if name in effect.values}
+    shared = {
+        name: min(max(value, own[name].low), own[name].high)
+        for name, value in other.values.items()
+        if name in effect.values
+    }
     return Effect(effect.kind, effect.joint, {**effect.values, **shared})

@@ -73,9 +73,11 @@ class Trial:
     def vanishing(self) -> bool:
         """Whether it is as stiff as it may be, and nothing of it left but what it contains."""
         effects = () if self.fitted is None else self.fitted.point.effects[-1:]
-        return any((effect.kind.name, p.name) in _LESS_WHEN_STIFFER
-                   and effect.values[p.name] >= p.high
-                   for effect in effects for p in effect.kind.parameters)
+        return any(
+            (effect.kind.name, p.name) in _LESS_WHEN_STIFFER and effect.values[p.name] >= p.high
+            for effect in effects
+            for p in effect.kind.parameters
+        )
 
     @property
     def untried(self) -> bool:
@@ -94,8 +96,9 @@ class Trials:
         self.problem = problem
         self.mechanism = problem.mechanism
 
-    def run(self, fit, base: Fitted, known, known_free, scored: Scored,
-              start: Point | None = None, again: bool = False) -> Trial:
+    def run(
+        self, fit, base: Fitted, known, known_free, scored: Scored, start: Point | None = None, again: bool = False
+    ) -> Trial:
         """A hypothesis in the model, fitted with all that is free.
 
         start : to go on from, in place of the screened values; again : whether to take all
@@ -105,8 +108,7 @@ class Trials:
         try:
             effect = self.effect(scored) if start is None else start.effects[-1]
         except ParameterError as problem:
-            return Trial(scored.name, scored.joint, 0.0, 0.0, None, scored.price,
-                         f"{_IMPOSSIBLE}: {problem}")
+            return Trial(scored.name, scored.joint, 0.0, 0.0, None, scored.price, f"{_IMPOSSIBLE}: {problem}")
         free = [(number, name) for name in self.names(effect, scored.values)]
         screened = Point(base.point.theta, (*base.point.effects, effect))
         if start is None:
@@ -116,10 +118,8 @@ class Trials:
         if fitted is None or fitted.objective > base.objective:
             answered = self._answered(fit, base, known, scored)
         if answered is not None:
-            fitted = _lowest(fitted, fit.run(answered, free, known=known, known_free=known_free,
-                                             rounds=5))
-        if again and (fitted is None
-                      or base.objective - fitted.objective < _PROMISED * scored.gain):
+            fitted = _lowest(fitted, fit.run(answered, free, known=known, known_free=known_free, rounds=5))
+        if again and (fitted is None or base.objective - fitted.objective < _PROMISED * scored.gain):
             # a model without the effect may have stretched its parameters so far that they, or
             # derivatives about them, are of no use to the model with it
             starts = [Point(self.mechanism.start, start.effects)]
@@ -128,15 +128,20 @@ class Trials:
             if fitted is not None and _fixed(scored):
                 # a limit that fits best with the parameters as they are may not be where it is
                 starts += [fitted.point, Point(self.mechanism.start, screened.effects)]
-            fitted = _lowest(fitted, *self._anew(fit, base, known, known_free, free, starts,
-                                                 not _fixed(scored)))
+            fitted = _lowest(fitted, *self._anew(fit, base, known, known_free, free, starts, not _fixed(scored)))
         if fitted is None:
-            return Trial(scored.name, scored.joint, 0.0, 0.0, None, prices.screened(scored),
-                         "the model with it does not stay finite along the log")
+            return Trial(
+                scored.name,
+                scored.joint,
+                0.0,
+                0.0,
+                None,
+                prices.screened(scored),
+                "the model with it does not stay finite along the log",
+            )
         return self._judged(fit, base, scored, fitted)
 
-    def _anew(self, fit, base: Fitted, known, known_free, free, starts, patient
-              ) -> list[Fitted | None]:
+    def _anew(self, fit, base: Fitted, known, known_free, free, starts, patient) -> list[Fitted | None]:
         """Fits from several starts with derivatives about each. patient : whether to go on from one
         that is worse than the base."""
         if not starts[0].heavy:
@@ -149,8 +154,7 @@ class Trials:
             return found
         if not base.point.heavy:
             # a model of two masses answers to the arm's parameters much as the rigid one does
-            known = fit.white(fit.derivatives(Point(self.mechanism.start, base.point.effects),
-                                              known_free))
+            known = fit.white(fit.derivatives(Point(self.mechanism.start, base.point.effects), known_free))
         return [fit.run(at, free, known=known, known_free=known_free, rounds=6) for at in starts]
 
     def _answered(self, fit, base: Fitted, known, scored: Scored) -> Point | None:
@@ -161,8 +165,9 @@ class Trials:
             return None
         values = scored.entry.candidate.values
         try:
-            little, whole = (self.effect(replace(scored, values=values(part * scored.coefficients)))
-                             for part in (_LITTLE, 1.0))
+            little, whole = (
+                self.effect(replace(scored, values=values(part * scored.coefficients))) for part in (_LITTLE, 1.0)
+            )
         except (Illegal, ParameterError):
             return None
         errors = fit.errors(Point(base.point.theta, (*base.point.effects, little)))
@@ -178,8 +183,15 @@ class Trials:
     def _judged(self, fit, base: Fitted, scored: Scored, fitted: Fitted) -> Trial:
         price = prices.price(scored, fit, fitted)
         gain = base.objective - fitted.objective - price
-        return Trial(scored.name, scored.joint, gain, self.held_gain(fit, base, fitted, gain),
-                     fitted, price, self.implausible(fitted.point.effects[-1]))
+        return Trial(
+            scored.name,
+            scored.joint,
+            gain,
+            self.held_gain(fit, base, fitted, gain),
+            fitted,
+            price,
+            self.implausible(fitted.point.effects[-1]),
+        )
 
     @staticmethod
     def held_gain(fit, base: Fitted, fitted: Fitted, gain: float) -> float:
@@ -219,30 +231,30 @@ class Trials:
         top = max((t.gain for t in trials if t.problem is None), default=0.0)
         if top < _WORTH:
             return trials
-        near = sorted((t for t in trials if t.problem is None and t.gain > _NEAR * top),
-                      key=lambda t: -t.gain)[:_POLISHED]
+        near = sorted((t for t in trials if t.problem is None and t.gain > _NEAR * top), key=lambda t: -t.gain)[
+            :_POLISHED
+        ]
         if len(near) < 2 and near[0].held_gain > 0.0:
             return trials
 
         def smooth(scored: Scored, trial: Trial) -> Trial:
             fitted, before = trial.fitted, trial.fitted.objective
-            pairs = (*known_free, *fitted.names[len(known_free):])
+            pairs = (*known_free, *fitted.names[len(known_free) :])
             for _ in range(1 if fitted.point.heavy else _POLISHINGS):
                 known = fit.white(fit.derivatives(fitted.point, pairs, nearest(base, raw)))
-                fitted = fit.from_start(fit.run(fitted.point, (), known=known, known_free=pairs,
-                                                rounds=3), known)
+                fitted = fit.from_start(fit.run(fitted.point, (), known=known, known_free=pairs, rounds=3), known)
                 if before - fitted.objective < _SMOOTH:
                     break
                 before = fitted.objective
             return self._judged(fit, base, scored, fitted)
 
-        return each(lambda pair: smooth(*pair) if pair[1] in near else pair[1],
-                    list(zip(short, trials)))
+        return each(lambda pair: smooth(*pair) if pair[1] in near else pair[1], list(zip(short, trials)))
 
     def free(self, point: Point, keys) -> tuple:
         """All free parameters of the effects of a model."""
-        return tuple((number, name) for number, effect in enumerate(point.effects)
-                     for name in self.names(effect, effect.values))
+        return tuple(
+            (number, name) for number, effect in enumerate(point.effects) for name in self.names(effect, effect.values)
+        )
 
     def names(self, effect: Effect, values) -> list[str]:
         """Parameters that are fitted: those of the screening, without structure and without
@@ -293,8 +305,7 @@ class Trials:
             return None
         low, high = self.mechanism.ranges[effect.joint - 1]
         far = _BEYOND * (high - low)
-        return (f"{_IMPOSSIBLE}: period {period:.3g}, more than the joint can go ({far:.3g})"
-                if period > far else None)
+        return f"{_IMPOSSIBLE}: period {period:.3g}, more than the joint can go ({far:.3g})" if period > far else None
 
     @staticmethod
     def _too_small(effect: Effect) -> str | None:

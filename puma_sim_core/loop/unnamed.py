@@ -73,8 +73,7 @@ class Unnamed:
         rows = self.predictor.fit_rows[:, best.joint - 1]
         left = causal.left(best.entry.candidate, best.coefficients)[rows, best.joint - 1]
         names = noise(self._raw(named.point))[rows, best.joint - 1]
-        return outcome.no_name_stands(float(left @ left), float(names @ names), best.price,
-                                      remains)
+        return outcome.no_name_stands(float(left @ left), float(names @ names), best.price, remains)
 
     def _about(self, final: Fitted, joints=None) -> tuple[CausalScreen, list]:
         """The screen about a model, and its curves, best first."""
@@ -97,8 +96,7 @@ class Unnamed:
         else:
             plant = self.mechanism.plant(point.theta, point.effects)
             raw = self.predictor.less(volts).errors(plant) + self.predictor.shown(volts)
-        return CausalScreen(fit, point, weighting(raw),
-                            fit.white(fit.derivatives(point, names)), self.problem)
+        return CausalScreen(fit, point, weighting(raw), fit.white(fit.derivatives(point, names)), self.problem)
 
     def _stretched(self, point) -> bool:
         """Whether parameters went farther than their priors allow."""
@@ -130,6 +128,5 @@ class Unnamed:
                 fit = PredictionFit(self.predictor.less(volts), causal.fit.weighting)
                 fitted = fit.run(causal.point, free, known=known, known_free=as_known)
                 if fitted is not None:
-                    tried.append((fitted.objective + curve.scored.price, len(tried), fitted.point,
-                                  volts, curve))
+                    tried.append((fitted.objective + curve.scored.price, len(tried), fitted.point, volts, curve))
         return min(tried)[2:] if tried else (final.point, None, first)

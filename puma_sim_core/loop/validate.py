@@ -61,8 +61,7 @@ class Validation:
             try:
                 parts = p.tracked(plant, corrected)
             except NonFiniteStateError:
-                return [np.full((rows.stop - rows.start, plant.joints), FAR_OFF)
-                        for _, rows in turn]
+                return [np.full((rows.stop - rows.start, plant.joints), FAR_OFF) for _, rows in turn]
             return [parts[number].innovation[rows] for number, rows in turn]
 
         found = [errors for turn in each(of, self.turns[key]) for errors in turn]
@@ -85,15 +84,18 @@ class Validation:
         """
         windows = {name: self.window_errors(plant, "fit") for name, plant in plants.items()}
         return Errors(
-            StageErrors(**{name: rms(values, self.predictor.fit_rows)
-                           for name, values in residuals.items()}, floor=floor),
-            StageErrors(**{name: rms(values) for name, values in windows.items()},
-                        floor=position_floor(self.predictor, self.lengths("fit"), *noise)))
+            StageErrors(
+                **{name: rms(values, self.predictor.fit_rows) for name, values in residuals.items()}, floor=floor
+            ),
+            StageErrors(
+                **{name: rms(values) for name, values in windows.items()},
+                floor=position_floor(self.predictor, self.lengths("fit"), *noise),
+            ),
+        )
 
     def lengths(self, key: str) -> np.ndarray:
         """(w,) rows of each window."""
-        return np.array([rows.stop - rows.start for turn in self.turns[key] for _, rows in turn],
-                        dtype=int)
+        return np.array([rows.stop - rows.start for turn in self.turns[key] for _, rows in turn], dtype=int)
 
 
 def position_floor(predictor, lengths, volts, noise) -> np.ndarray:
@@ -110,8 +112,9 @@ def position_floor(predictor, lengths, volts, noise) -> np.ndarray:
 def rms(values, rows=None) -> np.ndarray:
     """(J,) root mean squares of the rows (N, J) that count, None: of all; NaN without any."""
     rows = np.ones(values.shape, dtype=bool) if rows is None else rows
-    return np.array([np.sqrt((values[rows[:, j], j] ** 2).mean()) if rows[:, j].any() else np.nan
-                     for j in range(values.shape[1])])
+    return np.array(
+        [np.sqrt((values[rows[:, j], j] ** 2).mean()) if rows[:, j].any() else np.nan for j in range(values.shape[1])]
+    )
 
 
 def _spans(time, inside) -> list[tuple[float, float]]:
@@ -127,6 +130,7 @@ def _windows(time, low, high) -> list[slice]:
         return []
     free = max(length - _WINDOW, 0.0)
     starts = low + np.linspace(0.0, free, 1 + int(round(free / _HOP)))
-    first, last = (np.searchsorted(time, edge, side="right").tolist()
-                   for edge in (starts, starts + min(_WINDOW, length)))
+    first, last = (
+        np.searchsorted(time, edge, side="right").tolist() for edge in (starts, starts + min(_WINDOW, length))
+    )
     return [slice(a, b) for a, b in zip(first, last) if b > a + 3]

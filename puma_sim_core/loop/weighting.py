@@ -38,4 +38,4 @@ class Weighting:
         if len(taps) <= _DIRECT:
             return lfilter(taps, [1.0], values, axis=0)
         taps = taps.reshape(-1, *[1] * (values.ndim - 1))
-        return oaconvolve(values, taps, axes=0)[:len(values)]
+        return oaconvolve(values, taps, axes=0)[: len(values)]

@@ -21,14 +21,21 @@ def wrong_zeros(stages) -> list[Fault]:
     for stage in stages:
         best = max((t.gain for t in stage.trials if t.problem is None), default=0.0)
         for trial in stage.trials:
-            if (trial.name == "encoder_offset" and trial.problem is not None
-                    and trial.fitted is not None
-                    and trial.gain > max(best, stage.needed(trial.joint)) + _CLEARER):
+            if (
+                trial.name == "encoder_offset"
+                and trial.problem is not None
+                and trial.fitted is not None
+                and trial.gain > max(best, stage.needed(trial.joint)) + _CLEARER
+            ):
                 angle = trial.fitted.point.effects[-1].values["angle"]
-                found.append(Fault(
-                    f"position{trial.joint}", None,
-                    f"it is offset by about {angle:.2g} rad, which explains the log better than "
-                    "any effect; expected an encoder offset of a few hundredths at most"))
+                found.append(
+                    Fault(
+                        f"position{trial.joint}",
+                        None,
+                        f"it is offset by about {angle:.2g} rad, which explains the log better than "
+                        "any effect; expected an encoder offset of a few hundredths at most",
+                    )
+                )
         if found:
             break
     return found

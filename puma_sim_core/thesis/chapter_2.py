@@ -32,13 +32,19 @@ WRIST_RANGES = ((-110.0, 170.0), (-100.0, 100.0), (-266.0, 266.0))
 
 _MATRICES = (
     ("T1, base to link 1", "C1 0 -S1 0\nS1 0 C1 0\n0 -1 0 0", None, ""),
-    ("T2, link 1 to link 2", "C2 -S2 0 a2C2\nS2 C2 0 a2S2\n0 0 1 d2",
-     "C2 -S2 0 a2C2\nS2 C2 0 a2S2\n0 0 1 0",
-     "d2 is nought: the offset of the shoulder stands in T3, as equations 4.9 to 4.26 need it. "
-     "The tool does not care which of the two has it, as both are along the same axis."),
-    ("T3, link 2 to link 3", "C3 0 S3 a3C3\nS3 0 -C3 a3C3\n0 1 0 0",
-     "C3 0 S3 a3C3\nS3 0 -C3 a3S3\n0 1 0 d3",
-     "a3S3 for the second a3C3, and d3 for the nought in the last column."),
+    (
+        "T2, link 1 to link 2",
+        "C2 -S2 0 a2C2\nS2 C2 0 a2S2\n0 0 1 d2",
+        "C2 -S2 0 a2C2\nS2 C2 0 a2S2\n0 0 1 0",
+        "d2 is nought: the offset of the shoulder stands in T3, as equations 4.9 to 4.26 need it. "
+        "The tool does not care which of the two has it, as both are along the same axis.",
+    ),
+    (
+        "T3, link 2 to link 3",
+        "C3 0 S3 a3C3\nS3 0 -C3 a3C3\n0 1 0 0",
+        "C3 0 S3 a3C3\nS3 0 -C3 a3S3\n0 1 0 d3",
+        "a3S3 for the second a3C3, and d3 for the nought in the last column.",
+    ),
     ("T4, link 3 to link 4", "C4 0 -S4 0\nS4 0 C4 0\n0 -1 0 d4", None, ""),
     ("T5, link 4 to link 5", "C5 0 S5 0\nS5 0 -C5 0\n0 1 0 0", None, ""),
     ("T6, link 5 to link 6", "C6 -S6 0 0\nS6 C6 0 0\n0 0 1 0", None, ""),
@@ -54,8 +60,14 @@ def independent_frame(q, arm: ArmParameters) -> tuple[np.ndarray, np.ndarray]:
     where it was drawn.
     """
     elbow, wrist = (arm.a2, 0.0, 0.0), (arm.a2 + arm.a3, arm.d3, arm.d4)
-    lines = (((0, 0, 1), (0, 0, 0)), ((0, 1, 0), (0, 0, 0)), ((0, 1, 0), elbow),
-             ((0, 0, 1), wrist), ((0, 1, 0), wrist), ((0, 0, 1), wrist))
+    lines = (
+        ((0, 0, 1), (0, 0, 0)),
+        ((0, 1, 0), (0, 0, 0)),
+        ((0, 1, 0), elbow),
+        ((0, 0, 1), wrist),
+        ((0, 1, 0), wrist),
+        ((0, 0, 1), wrist),
+    )
     position, turn = np.array(wrist), Rotation.identity()
     for angle, (axis, point) in reversed(list(zip(q, lines))):
         step = Rotation.from_rotvec(angle * np.array(axis, dtype=float))
@@ -93,19 +105,28 @@ def _aligned(matrix: str) -> str:
 def _matrix_rows(arm: ArmParameters, poses) -> list[Row]:
     rows = []
     for name, printed, correct, note in _MATRICES:
-        rows.append(Row(f"{name} (the first three rows)", "", _aligned(printed),
-                        _aligned(correct or printed), note))
-    off = {d2: max(np.linalg.norm(printed_frame(q, arm, d2)[:3, 3]
-                                  - forward_kinematics(q, arm)[:3, 3]) for q in poses)
-           for d2 in (arm.d3, 0.0)}
+        rows.append(Row(f"{name} (the first three rows)", "", _aligned(printed), _aligned(correct or printed), note))
+    off = {
+        d2: max(np.linalg.norm(printed_frame(q, arm, d2)[:3, 3] - forward_kinematics(q, arm)[:3, 3]) for q in poses)
+        for d2 in (arm.d3, 0.0)
+    }
     rows += [
-        Row(f"greatest error of the tool with T2 and T3 as printed, d2 = {arm.d3:g} m", "mm", None,
+        Row(
+            f"greatest error of the tool with T2 and T3 as printed, d2 = {arm.d3:g} m",
+            "mm",
+            None,
             1000.0 * off[arm.d3],
             "What is left is the slip a3C3, up to a3 times the square root of 2. The thesis found "
-            "its kinematics accurate on the arm, so that its program cannot have had this slip."),
-        Row("greatest error of the tool with T2 and T3 as printed, d2 = 0", "mm", None,
+            "its kinematics accurate on the arm, so that its program cannot have had this slip.",
+        ),
+        Row(
+            "greatest error of the tool with T2 and T3 as printed, d2 = 0",
+            "mm",
+            None,
             1000.0 * off[0.0],
-            "Without d2 the printed T3 puts the arm in the plane of the base axis.")]
+            "Without d2 the printed T3 puts the arm in the plane of the base axis.",
+        ),
+    ]
     return rows
 
 
@@ -135,18 +156,25 @@ def _round_trip(arm: ArmParameters, poses) -> tuple[float, int]:
 def _sketch(arm: ArmParameters) -> Figure:
     """Figure 2.7: the arm as lines, seen from the side."""
     curves = []
-    for label, degrees, style in (("q = 0", (0, 0, 0), "line"),
-                                  ("moved upwards, q = (0, -40, 20) deg", (0, -40, 20), "dashed")):
+    for label, degrees, style in (
+        ("q = 0", (0, 0, 0), "line"),
+        ("moved upwards, q = (0, -40, 20) deg", (0, -40, 20), "dashed"),
+    ):
         q = np.radians(degrees)
         frames = link_transforms(q, arm)
         corners = [np.zeros(3), frames[2][:3, 3], frames[3][:3, 3], wrist_position(q, arm)]
         x, _, z = np.array(corners).T
         curves.append(Curve(label, x, z, style))
-    return Figure("figure 2.7", "Line sketch of the arm from the side", "x [m]", "z [m]",
-                  tuple(curves),
-                  "Shoulder, elbow, wrist. The forearm stands a little behind the elbow: a3 is "
-                  "negative. The angles of the thesis's second pose are not in the text.",
-                  equal=True)
+    return Figure(
+        "figure 2.7",
+        "Line sketch of the arm from the side",
+        "x [m]",
+        "z [m]",
+        tuple(curves),
+        "Shoulder, elbow, wrist. The forearm stands a little behind the elbow: a3 is "
+        "negative. The angles of the thesis's second pose are not in the text.",
+        equal=True,
+    )
 
 
 @experiment("2.4", "Validation of the kinematic equations at precision points", chapter="2.4")
@@ -159,9 +187,17 @@ def run(context: Context) -> Result:
         frame = forward_kinematics(q, arm)
         position, turn = independent_frame(q, arm)
         off = max(np.abs(frame[:3, 3] - position).max(), np.abs(frame[:3, :3] - turn).max())
-        rows.append(Row(f"wrist (x, y, z), {name}", "mm", None, _millimetres(frame[:3, 3]),
-                        "The independent construction gives the same position and orientation."
-                        if off < 1e-12 else f"The independent construction is {off:.1e} off."))
+        rows.append(
+            Row(
+                f"wrist (x, y, z), {name}",
+                "mm",
+                None,
+                _millimetres(frame[:3, 3]),
+                "The independent construction gives the same position and orientation."
+                if off < 1e-12
+                else f"The independent construction is {off:.1e} off.",
+            )
+        )
     poses = random_poses(arm, context.rng("2.4 poses"), COUNT)
     position_off = turn_off = 0.0
     for index, q in enumerate(poses):
@@ -172,17 +208,29 @@ def run(context: Context) -> Result:
         if index % 100 == 0:
             context.progress(0.6 * index / COUNT)
     rows += [
-        Row(f"greatest difference of position, {COUNT} random poses", "m",
-            "an accurate representation", position_off,
+        Row(
+            f"greatest difference of position, {COUNT} random poses",
+            "m",
+            "an accurate representation",
+            position_off,
             "The thesis compared with the arm itself, through VAL, and prints no numbers; ours is "
-            "against turns about lines in space, so that it proves the matrices, not the lengths."),
-        Row(f"greatest difference of orientation, {COUNT} random poses", "", None, turn_off)]
+            "against turns about lines in space, so that it proves the matrices, not the lengths.",
+        ),
+        Row(f"greatest difference of orientation, {COUNT} random poses", "", None, turn_off),
+    ]
     rows += _matrix_rows(arm, poses[:400])
     context.progress(0.8)
     worst, left_out = _round_trip(arm, poses[:1000])
-    rows.append(Row("angles to wrist and back, 1000 random poses", "rad", None, worst,
-                    f"{left_out} poses near full stretch or near the base axis are left out: the "
-                    "way back has no one answer there."))
+    rows.append(
+        Row(
+            "angles to wrist and back, 1000 random poses",
+            "rad",
+            None,
+            worst,
+            f"{left_out} poses near full stretch or near the base axis are left out: the "
+            "way back has no one answer there.",
+        )
+    )
     context.progress(1.0)
     return Result(
         "The corrected matrices of section 2.3 agree to rounding with a construction that does "
@@ -191,7 +239,13 @@ def run(context: Context) -> Result:
         f"{1000.0 * abs(arm.a3) * np.sqrt(2.0):.0f} mm; the other only moves the offset of the "
         "shoulder from one link to the next. The thesis's own precision points, read from the "
         "arm, are not printed.",
-        tuple(rows), (_sketch(arm),),
-        {"position_difference_m": position_off, "orientation_difference": turn_off,
-         "d4_m": arm.d4, "wrist_ranges_deg": [list(each) for each in WRIST_RANGES],
-         "folded_rad": radians(-52.0)})
+        tuple(rows),
+        (_sketch(arm),),
+        {
+            "position_difference_m": position_off,
+            "orientation_difference": turn_off,
+            "d4_m": arm.d4,
+            "wrist_ranges_deg": [list(each) for each in WRIST_RANGES],
+            "folded_rad": radians(-52.0),
+        },
+    )

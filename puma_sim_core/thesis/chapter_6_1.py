@@ -19,8 +19,7 @@ from .misprints.reference import nominal
 from .registry import Context, experiment
 from .result import Curve, Figure, Result, Row
 
-_POSES = {"upright": (0.0, -math.pi / 2, math.pi / 2), "horizontal": (0.0, 0.0, math.pi / 2),
-          "q = 0": (0.0, 0.0, 0.0)}
+_POSES = {"upright": (0.0, -math.pi / 2, math.pi / 2), "horizontal": (0.0, 0.0, math.pi / 2), "q = 0": (0.0, 0.0, 0.0)}
 _MICROVAX_SECONDS = 540.0
 _KINDS = ("free", "hold", "velocity:0.4", "acceleration:0.7")
 
@@ -38,34 +37,54 @@ def constraints(context: Context) -> Result:
         simulator.reset(start)
         run = simulator.run(at, volts)
         for j, kind in enumerate(kinds):
-            expected = {"free": run.position[:, j], "hold": np.full(len(at), start[j]),
-                        "velocity:0.4": start[j] + 0.4 * at,
-                        "acceleration:0.7": start[j] + 0.35 * at**2}[kind]
+            expected = {
+                "free": run.position[:, j],
+                "hold": np.full(len(at), start[j]),
+                "velocity:0.4": start[j] + 0.4 * at,
+                "acceleration:0.7": start[j] + 0.35 * at**2,
+            }[kind]
             worst = max(worst, float(np.max(np.abs(run.position[:, j] - expected))))
         context.progress((done + 1) / len(combinations))
     angles = np.radians(np.linspace(-223, 43, 134))
     curves = []
     for q3 in (-50.0, 0.0, 90.0):
-        poses = np.stack([np.zeros_like(angles), angles, np.full_like(angles, np.radians(q3))],
-                         axis=-1)
+        poses = np.stack([np.zeros_like(angles), angles, np.full_like(angles, np.radians(q3))], axis=-1)
         c112 = coriolis(poses, nominal())[:, 0, 0, 1]
         curves.append(Curve(f"q3 = {q3:g} deg", np.degrees(angles), 2 * c112))
     greatest = max(float(np.max(np.abs(curve.y))) for curve in curves)
     rows = (
         Row("combinations of constraints", "", 64, len(combinations)),
-        Row("greatest distance of a constrained joint from its motion, 0.19 s", "rad", None,
+        Row(
+            "greatest distance of a constrained joint from its motion, 0.19 s",
+            "rad",
+            None,
             f"{worst:.1g}" if worst > 1e-12 else "below 1e-12",
-            "Integration of a constant velocity or acceleration is exact but for rounding."),
-        Row("Coriolis torque at joint 1, joints 1 and 2 at 1 rad/s each, greatest", "N.m", None,
-            round(greatest, 4), "2 C112 qd1 qd2, the example of section 6.1."))
+            "Integration of a constant velocity or acceleration is exact but for rounding.",
+        ),
+        Row(
+            "Coriolis torque at joint 1, joints 1 and 2 at 1 rad/s each, greatest",
+            "N.m",
+            None,
+            round(greatest, 4),
+            "2 C112 qd1 qd2, the example of section 6.1.",
+        ),
+    )
     return Result(
         summary="All 64 combinations of free joints and joints at constant position, velocity or "
-                "acceleration run, and the constrained joints keep to their motion. Figure 6.1 "
-                "(ranges of the joints) is not in our text of the thesis.",
-        rows=rows, figures=(Figure(
-            "6.1 Coriolis", "Coriolis torque at joint 1 with joints 1 and 2 at 1 rad/s",
-            "q2 [deg]", "torque [N.m]", tuple(curves)),),
-        numbers={"Coriolis torque, greatest, N.m": float(f"{greatest:.9g}")})
+        "acceleration run, and the constrained joints keep to their motion. Figure 6.1 "
+        "(ranges of the joints) is not in our text of the thesis.",
+        rows=rows,
+        figures=(
+            Figure(
+                "6.1 Coriolis",
+                "Coriolis torque at joint 1 with joints 1 and 2 at 1 rad/s",
+                "q2 [deg]",
+                "torque [N.m]",
+                tuple(curves),
+            ),
+        ),
+        numbers={"Coriolis torque, greatest, N.m": float(f"{greatest:.9g}")},
+    )
 
 
 def locked_response(overwrite: bool, duration: float = 0.1, volts: float = 20.0):
@@ -90,6 +109,7 @@ def locked_response(overwrite: bool, duration: float = 0.1, volts: float = 20.0)
 
     def f(x):
         return np.concatenate([x[3:], third(x)])
+
     x = np.concatenate([pose, np.zeros(6)])
     # the arm at rest with no voltage: motor 1 carries no current (G1 = 0)
     found = [x[3]]
@@ -131,43 +151,69 @@ def locks_and_run_time(context: Context) -> Result:
     for pose, angles in _POSES.items():
         right, overwritten = locked_inertias(np.array(angles))
         numbers[f"{pose}: inertia, kg.m^2"] = [float(f"{v:.9g}") for v in right]
-        numbers[f"{pose}: inertia by overwriting, kg.m^2"] = [float(f"{v:.9g}")
-                                                               for v in overwritten]
+        numbers[f"{pose}: inertia by overwriting, kg.m^2"] = [float(f"{v:.9g}") for v in overwritten]
         for j in range(3):
-            rows.append(Row(f"inertia of joint {j + 1}, the others locked, {pose}", "kg.m^2", None,
-                            round(float(right[j]), 4),
-                            f"Overwriting the locked joints' states gives {overwritten[j]:.3f}: "
-                            f"{round(100 * (overwritten[j] / right[j] - 1)) + 0:d} %."))
+            rows.append(
+                Row(
+                    f"inertia of joint {j + 1}, the others locked, {pose}",
+                    "kg.m^2",
+                    None,
+                    round(float(right[j]), 4),
+                    f"Overwriting the locked joints' states gives {overwritten[j]:.3f}: "
+                    f"{round(100 * (overwritten[j] / right[j] - 1)) + 0:d} %.",
+                )
+            )
     seen = {mode: inertia_from_start(mode) for mode in (False, True)}
-    numbers["upright: inertia seen in the motion, right"] = [
-        float(f"{v:.9g}") for v in seen[False]]
-    numbers["upright: inertia seen in the motion, overwritten"] = [
-        float(f"{v:.9g}") for v in seen[True]]
-    rows.append(Row("the same, seen in the third derivative that a voltage starts, upright",
-                    "kg.m^2", None, ", ".join(f"{v:.4g}" for v in seen[False]),
-                    f"Overwriting: {', '.join(f'{v:.4g}' for v in seen[True])}."))
+    numbers["upright: inertia seen in the motion, right"] = [float(f"{v:.9g}") for v in seen[False]]
+    numbers["upright: inertia seen in the motion, overwritten"] = [float(f"{v:.9g}") for v in seen[True]]
+    rows.append(
+        Row(
+            "the same, seen in the third derivative that a voltage starts, upright",
+            "kg.m^2",
+            None,
+            ", ".join(f"{v:.4g}" for v in seen[False]),
+            f"Overwriting: {', '.join(f'{v:.4g}' for v in seen[True])}.",
+        )
+    )
     context.progress(0.3)
     at, right = locked_response(False)
     _, wrong = locked_response(True)
     apart = float(np.max(np.abs(right - wrong)))
     numbers["velocity of joint 1 apart by, rad/s"] = float(f"{apart:.9g}")
-    rows.append(Row("velocity of joint 1, 20 V, the two ways apart by at most", "rad/s", None,
-                    round(apart, 4), f"Of {float(right[-1]):.3f} rad/s after 0.1 s."))
+    rows.append(
+        Row(
+            "velocity of joint 1, 20 V, the two ways apart by at most",
+            "rad/s",
+            None,
+            round(apart, 4),
+            f"Of {float(right[-1]):.3f} rad/s after 0.1 s.",
+        )
+    )
     context.progress(0.6)
     page_rows = _run_time()
     context.progress(1.0)
-    figure = Figure("6.2.1", "Joint 1 under 20 V, joints 2 and 3 locked, arm upright", "time [s]",
-                    "velocity [rad/s]",
-                    (Curve("row and column taken out", at, right),
-                     Curve("states overwritten after each step", at, wrong, "dashed")))
+    figure = Figure(
+        "6.2.1",
+        "Joint 1 under 20 V, joints 2 and 3 locked, arm upright",
+        "time [s]",
+        "velocity [rad/s]",
+        (
+            Curve("row and column taken out", at, right),
+            Curve("states overwritten after each step", at, wrong, "dashed"),
+        ),
+    )
     return Result(
         summary="Locking a joint means taking its row and column out of the equations. "
-                "Integrating the free arm and overwriting the locked joints afterwards, as section "
-                "6.2.1 does, lets the free joint answer with the inertia of a chain whose other "
-                "joints give way: upright 1.355, 2.975 and 0.924 in place of 2.498, 6.328 and "
-                "1.129 kg.m^2. By the text the tests of chapter 7 with locked joints were run so. "
-                "Ten seconds took the MicroVax nine minutes; the page shows what they take here.",
-        rows=tuple(rows), figures=(figure,), numbers=numbers, page_rows=page_rows)
+        "Integrating the free arm and overwriting the locked joints afterwards, as section "
+        "6.2.1 does, lets the free joint answer with the inertia of a chain whose other "
+        "joints give way: upright 1.355, 2.975 and 0.924 in place of 2.498, 6.328 and "
+        "1.129 kg.m^2. By the text the tests of chapter 7 with locked joints were run so. "
+        "Ten seconds took the MicroVax nine minutes; the page shows what they take here.",
+        rows=tuple(rows),
+        figures=(figure,),
+        numbers=numbers,
+        page_rows=page_rows,
+    )
 
 
 def _run_time() -> tuple[Row, ...]:
@@ -175,8 +221,7 @@ def _run_time() -> tuple[Row, ...]:
     plant = Plant.of("bejczy")
     simulator = Simulator(plant)
     rows = []
-    for step, note in ((SERVO_PERIOD, "28/30 ms, the servo sample"),
-                       (0.005, "5 ms, the likely step of the thesis")):
+    for step, note in ((SERVO_PERIOD, "28/30 ms, the servo sample"), (0.005, "5 ms, the likely step of the thesis")):
         simulator = Simulator(plant, max_step=step)
         at = np.arange(0.0, 10.0 + step / 2, step)
         volts = np.tile((10.0, -10.0, 10.0), (len(at), 1))
@@ -186,14 +231,26 @@ def _run_time() -> tuple[Row, ...]:
             begin = time.perf_counter()
             simulator.run(at, volts)
             best = min(best, time.perf_counter() - begin)
-        rows.append(Row(f"run time of ten simulated seconds, step {note}", "s", _MICROVAX_SECONDS,
-                        float(f"{best:.3g}"), f"{_MICROVAX_SECONDS / best:.2g} times faster than "
-                        "the MicroVax, best of three runs on this machine."))
+        rows.append(
+            Row(
+                f"run time of ten simulated seconds, step {note}",
+                "s",
+                _MICROVAX_SECONDS,
+                float(f"{best:.3g}"),
+                f"{_MICROVAX_SECONDS / best:.2g} times faster than the MicroVax, best of three runs on this machine.",
+            )
+        )
     for step in (0.05, 0.005):
         evaluations = 4 * 10.0 / step
-        rows.append(Row(f"time of the MicroVax for one evaluation, if the step was {step:g} s",
-                        "s", None, float(f"{_MICROVAX_SECONDS / evaluations:.3g}"),
-                        "From nine minutes; a machine of about a tenth of a million operations a "
-                        "second would do "
-                        f"{_MICROVAX_SECONDS / evaluations * 1e5:.0f} in that time."))
+        rows.append(
+            Row(
+                f"time of the MicroVax for one evaluation, if the step was {step:g} s",
+                "s",
+                None,
+                float(f"{_MICROVAX_SECONDS / evaluations:.3g}"),
+                "From nine minutes; a machine of about a tenth of a million operations a "
+                "second would do "
+                f"{_MICROVAX_SECONDS / evaluations * 1e5:.0f} in that time.",
+            )
+        )
     return tuple(rows)

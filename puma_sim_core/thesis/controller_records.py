@@ -48,13 +48,16 @@ def motions(arm) -> dict[str, Motion]:
     forearm = hypot(arm.a3, arm.d4)
     stretched = atan2(arm.d4, arm.a3)
     reach = hypot(arm.a2 + forearm - 0.0005, arm.d3)
-    horizontal = wrist_angles((-0.5 * STROKE, (reach ** 2 - 0.25 * STROKE ** 2) ** 0.5, 0.0), arm,
-                              (0.5 * pi, -0.03, stretched + 0.06))
+    horizontal = wrist_angles(
+        (-0.5 * STROKE, (reach**2 - 0.25 * STROKE**2) ** 0.5, 0.0), arm, (0.5 * pi, -0.03, stretched + 0.06)
+    )
     high = (0.5 * pi, -0.5 * pi + 0.2, stretched + 0.1)
-    return {"7.9": Motion(tuple(horizontal)),
-            "7.10": Motion(high, stroke=(0.7, 1.0)),
-            "fast": Motion(high),
-            "along x": Motion((0.0, -0.03, stretched + 0.06), (-STROKE, 0.0, 0.0))}
+    return {
+        "7.9": Motion(tuple(horizontal)),
+        "7.10": Motion(high, stroke=(0.7, 1.0)),
+        "fast": Motion(high),
+        "along x": Motion((0.0, -0.03, stretched + 0.06), (-STROKE, 0.0, 0.0)),
+    }
 
 
 @dataclass(frozen=True)
@@ -63,8 +66,15 @@ class Maker:
 
     plant: Plant
 
-    def log(self, motion: Motion, gains: PidGains, rng: np.random.Generator, *,
-            bits: int | None = 12, on_measurement: bool = False) -> ControllerLog:
+    def log(
+        self,
+        motion: Motion,
+        gains: PidGains,
+        rng: np.random.Generator,
+        *,
+        bits: int | None = 12,
+        on_measurement: bool = False,
+    ) -> ControllerLog:
         """RECORD samples: setpoints each 28 ms, encoder counts, voltages of `bits` bits.
 
         The duration of a stroke and the place between two counts where joint 1 starts are random.
@@ -77,12 +87,17 @@ class Maker:
         simulator = Simulator(self.plant)
         simulator.reset(start)
         # the other joints' servo is ours; its derivative is of the measurement, without kicks
-        servo = ServoConfig((gains, *DEFAULT_GAINS[1:]), converter_bits=bits,
-                            encoder_counts=COUNTS, derivative_on_measurement=on_measurement)
+        servo = ServoConfig(
+            (gains, *DEFAULT_GAINS[1:]),
+            converter_bits=bits,
+            encoder_counts=COUNTS,
+            derivative_on_measurement=on_measurement,
+        )
         run = simulator.run_servo(setpoint, servo)
         step = 2.0 * pi / (COUNTS * arm.motors[0].gear_ratio)
-        return ControllerLog(SERVO_PERIOD, run.setpoint[:RECORD, 0], run.position[:RECORD, 0],
-                             run.voltage[:RECORD, 0], "record").with_counts(abs(step))
+        return ControllerLog(
+            SERVO_PERIOD, run.setpoint[:RECORD, 0], run.position[:RECORD, 0], run.voltage[:RECORD, 0], "record"
+        ).with_counts(abs(step))
 
 
 def repeated(arm, motion: Motion, stroke: float, rows: int, period: float = 0.028) -> np.ndarray:
@@ -95,6 +110,5 @@ def repeated(arm, motion: Motion, stroke: float, rows: int, period: float = 0.02
     setpoint = np.empty((rows, 3))
     before = np.array(motion.start)
     for row in range(rows):
-        before = setpoint[row] = wrist_angles(
-            origin + part[row] * np.array(motion.displacement), arm, before)
+        before = setpoint[row] = wrist_angles(origin + part[row] * np.array(motion.displacement), arm, before)
     return setpoint

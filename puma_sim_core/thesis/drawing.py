@@ -23,19 +23,31 @@ POINTS = 480
 COLOURS = ("#0060a8", "#c8500a", "#00785a", "#a8487f", "#3a3a3a", "#b88a00", "#3c9dd8")
 _SIZE = (4.6, 2.95)
 _STYLE = {
-    "svg.fonttype": "none", "font.family": "sans-serif", "font.size": 9.5,
-    "axes.spines.top": False, "axes.spines.right": False, "axes.edgecolor": "#555555",
-    "axes.labelcolor": "#222222", "axes.grid": True, "grid.color": "#dddddd",
-    "grid.linewidth": 0.6, "xtick.color": "#444444", "ytick.color": "#444444",
-    "axes.formatter.limits": (-4, 5), "axes.formatter.useoffset": False,
-    "axes.unicode_minus": True, "figure.facecolor": "none", "axes.facecolor": "none",
-    "savefig.facecolor": "none", "lines.linewidth": 1.3, "lines.markersize": 4.0,
+    "svg.fonttype": "none",
+    "font.family": "sans-serif",
+    "font.size": 9.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": "#555555",
+    "axes.labelcolor": "#222222",
+    "axes.grid": True,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.6,
+    "xtick.color": "#444444",
+    "ytick.color": "#444444",
+    "axes.formatter.limits": (-4, 5),
+    "axes.formatter.useoffset": False,
+    "axes.unicode_minus": True,
+    "figure.facecolor": "none",
+    "axes.facecolor": "none",
+    "savefig.facecolor": "none",
+    "lines.linewidth": 1.3,
+    "lines.markersize": 4.0,
     "mathtext.default": "regular",
 }
 #: a second round of the colours is told from the first by its dashes
 _DASHES = ("-", (0, (1, 1)), (0, (4, 1, 1, 1)))
-_RAISED = str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077"
-                        "\u2078\u2079")
+_RAISED = str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079")
 
 
 def require_matplotlib() -> None:
@@ -43,8 +55,9 @@ def require_matplotlib() -> None:
     try:
         import matplotlib  # noqa: F401
     except ImportError:
-        raise ParameterError("matplotlib is not installed", where="the page",
-                             expected="the extra `plot`: pip install matplotlib") from None
+        raise ParameterError(
+            "matplotlib is not installed", where="the page", expected="the extra `plot`: pip install matplotlib"
+        ) from None
 
 
 def thin(curve: Curve, points: int = POINTS) -> tuple[np.ndarray, np.ndarray]:
@@ -113,8 +126,9 @@ def svg(figure: Figure | Heatmap, prefix: str) -> str:
     import matplotlib
     from matplotlib.figure import Figure as Canvas
 
-    with matplotlib.rc_context({**matplotlib.rcParamsDefault, **_STYLE, "svg.hashsalt": prefix,
-                                "backend": matplotlib.rcParams["backend"]}):
+    with matplotlib.rc_context(
+        {**matplotlib.rcParamsDefault, **_STYLE, "svg.hashsalt": prefix, "backend": matplotlib.rcParams["backend"]}
+    ):
         canvas = Canvas(figsize=_SIZE, layout="constrained")
         axes = canvas.add_subplot()
         if isinstance(figure, Heatmap):
@@ -124,8 +138,7 @@ def svg(figure: Figure | Heatmap, prefix: str) -> str:
         axes.set_xlabel(_plain(figure.x_label, 56))
         axes.set_ylabel(_plain(figure.y_label, 34))
         file = io.StringIO()
-        canvas.savefig(file, format="svg", metadata={
-            "Date": None, "Creator": None, "Format": None, "Type": None})
+        canvas.savefig(file, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     return _inline(file.getvalue(), figure, prefix)
 
 
@@ -148,8 +161,7 @@ def _label_decades(axis, limits) -> None:
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axis.set_minor_formatter(NullFormatter())
-    axis.set_major_formatter(FuncFormatter(
-        lambda value, _: f"10{str(round(np.log10(value))).translate(_RAISED)}"))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"10{str(round(np.log10(value))).translate(_RAISED)}"))
     if limits[0] > 0 and np.log10(limits[1] / limits[0]) <= 3.2:
         narrow = np.log10(limits[1] / limits[0]) <= 2.2
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if narrow else (1.0,)))
@@ -158,8 +170,9 @@ def _label_decades(axis, limits) -> None:
 
 def _draw_map(canvas, axes, figure: Heatmap) -> None:
     axes.grid(False)
-    mesh = axes.pcolormesh(figure.x, figure.y, np.ma.masked_invalid(figure.values),
-                           shading="nearest", cmap="viridis", rasterized=True)
+    mesh = axes.pcolormesh(
+        figure.x, figure.y, np.ma.masked_invalid(figure.values), shading="nearest", cmap="viridis", rasterized=True
+    )
     canvas.colorbar(mesh, ax=axes, label=_plain(figure.value_label, 34))
 
 
@@ -171,16 +184,18 @@ def _plain(text: str, width: int) -> str:
 
 def _inline(text: str, figure: Figure | Heatmap, prefix: str) -> str:
     """The element alone, as wide as its place, with identifiers of its own."""
-    text = text[text.index("<svg"):]
+    text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     text = re.sub(r"<!--.*?-->\s*", "", text, flags=re.DOTALL)
     text = re.sub(r'\bid="', f'id="{prefix}-', text)
     text = re.sub(r'(xlink:href="#|url\(#)', rf"\g<1>{prefix}-", text)
     box = re.search(r'viewBox="[^"]*"', text).group(0)
     label = _attribute(f"{figure.title}: {figure.y_label} against {figure.x_label}")
-    head = (f'<svg class="drawing" role="img" aria-label="{label}" {box} '
-            f'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink">')
-    return head + text[text.index(">") + 1:].strip()
+    head = (
+        f'<svg class="drawing" role="img" aria-label="{label}" {box} '
+        f'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink">'
+    )
+    return head + text[text.index(">") + 1 :].strip()
 
 
 def legend_svg(style: dict) -> str:
@@ -193,14 +208,19 @@ def legend_svg(style: dict) -> str:
             pattern = f' stroke-dasharray="{" ".join(str(2 * each) for each in dashes[1])}"'
         parts.append(f'<path d="M0 5H26" stroke="{colour}" stroke-width="2.2"{pattern}/>')
     if "marker" in style:
-        shape = {"o": '<circle cx="13" cy="5" r="3.5"', "s": '<path d="M10 2h6v6h-6z"',
-                 "D": '<path d="M13 1l4 4-4 4-4-4z"', "^": '<path d="M13 1l4 8h-8z"',
-                 "v": '<path d="M13 9l4-8h-8z"'}[style["marker"]]
+        shape = {
+            "o": '<circle cx="13" cy="5" r="3.5"',
+            "s": '<path d="M10 2h6v6h-6z"',
+            "D": '<path d="M13 1l4 4-4 4-4-4z"',
+            "^": '<path d="M13 1l4 8h-8z"',
+            "v": '<path d="M13 9l4-8h-8z"',
+        }[style["marker"]]
         parts.append(f'{shape} fill="{colour}"/>')
-    return (f'<svg class="key" viewBox="0 0 26 10" width="26" height="10" aria-hidden="true" '
-            f'fill="none">{"".join(parts)}</svg>')
+    return (
+        f'<svg class="key" viewBox="0 0 26 10" width="26" height="10" aria-hidden="true" '
+        f'fill="none">{"".join(parts)}</svg>'
+    )
 
 
 def _attribute(text: str) -> str:
-    return (text.replace("&", "&amp;").replace('"', "&quot;")
-            .replace("<", "&lt;").replace(">", "&gt;"))
+    return text.replace("&", "&amp;").replace('"', "&quot;").replace("<", "&lt;").replace(">", "&gt;")

@@ -33,8 +33,27 @@ class Run(NamedTuple):
 @compiled
 def _rates(x, v, body, drive, p):
     a1, a2, a3, e1, e2, e3 = derivative(
-        x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8], v[0], v[1], v[2],
-        library_trigonometry(x[1], x[2]), body, drive, 0, p, FREE, NO_SLIP, STILL)
+        x[0],
+        x[1],
+        x[2],
+        x[3],
+        x[4],
+        x[5],
+        x[6],
+        x[7],
+        x[8],
+        v[0],
+        v[1],
+        v[2],
+        library_trigonometry(x[1], x[2]),
+        body,
+        drive,
+        0,
+        p,
+        FREE,
+        NO_SLIP,
+        STILL,
+    )
     return x[3], x[4], x[5], a1, a2, a3, e1, e2, e3
 
 
@@ -47,8 +66,27 @@ def _euler(start, volts, count, h, body, drive, p, out):
         v1, v2, v3 = volts[r][0], volts[r][1], volts[r][2]
         for _ in range(count):
             a1, a2, a3, e1, e2, e3 = derivative(
-                q1, q2, q3, w1, w2, w3, i1, i2, i3, v1, v2, v3,
-                library_trigonometry(q2, q3), body, drive, 0, p, FREE, NO_SLIP, STILL)
+                q1,
+                q2,
+                q3,
+                w1,
+                w2,
+                w3,
+                i1,
+                i2,
+                i3,
+                v1,
+                v2,
+                v3,
+                library_trigonometry(q2, q3),
+                body,
+                drive,
+                0,
+                p,
+                FREE,
+                NO_SLIP,
+                STILL,
+            )
             q1 += h * w1
             q2 += h * w2
             q3 += h * w3
@@ -82,10 +120,21 @@ def rk4(plant: Plant, start, volts, count: int, row: float = ROW) -> Run:
     out = np.zeros((len(volts) + 1, 12))
     counts = np.full(len(volts), count, dtype=np.int64)
     steps = np.full(len(volts), row / count)
-    failed = run_voltages(tuple(float(value) for value in start), (0.0,) * 9, (0.0, 0.0, 0.0),
-                          _rows(volts), _rows(row * np.arange(len(volts))),
-                          counts if BACKEND == "numba" else counts.tolist(), _rows(steps), body,
-                          drive, active, native(table), FREE, out)
+    failed = run_voltages(
+        tuple(float(value) for value in start),
+        (0.0,) * 9,
+        (0.0, 0.0, 0.0),
+        _rows(volts),
+        _rows(row * np.arange(len(volts))),
+        counts if BACKEND == "numba" else counts.tolist(),
+        _rows(steps),
+        body,
+        drive,
+        active,
+        native(table),
+        FREE,
+        out,
+    )
     return Run(out[:, :9], 4 * len(volts) * count, failed)
 
 
@@ -98,9 +147,15 @@ def adaptive(plant: Plant, start, volts, tolerance: float = 1e-12) -> Run:
     evaluations = 0
     for r, row in enumerate(np.asarray(volts, dtype=float)):
         v = tuple(row.tolist())
-        run = solve_ivp(lambda t, x: _rates(tuple(x.tolist()), v, body, drive, table), (0.0, ROW),
-                        out[r], method="DOP853", rtol=tolerance, atol=tolerance * 1e-1,
-                        first_step=ROW / 8)
+        run = solve_ivp(
+            lambda t, x: _rates(tuple(x.tolist()), v, body, drive, table),
+            (0.0, ROW),
+            out[r],
+            method="DOP853",
+            rtol=tolerance,
+            atol=tolerance * 1e-1,
+            first_step=ROW / 8,
+        )
         out[r + 1] = run.y[:, -1]
         evaluations += run.nfev
     return Run(out, evaluations)

@@ -5,7 +5,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Mapping
+from collections.abc import Mapping
+from typing import Any
 
 from .. import __version__
 from .. import json_text as layout
@@ -24,28 +25,53 @@ def json_text(results: Mapping[str, tuple[Experiment, Result]], seed: int) -> st
     null. Rows and figures that change from run to run are left out.
     """
     content = {
-        "format": FORMAT, "version": __version__, "seed": seed,
-        "experiments": [{"number": found.number, "chapter": found.chapter, "title": found.title,
-                         "summary": result.summary,
-                         "rows": [_row(row) for row in result.rows],
-                         "figures": [_figure(figure) for figure in result.figures],
-                         "numbers": dict(result.numbers)}
-                        for found, result in results.values()]}
+        "format": FORMAT,
+        "version": __version__,
+        "seed": seed,
+        "experiments": [
+            {
+                "number": found.number,
+                "chapter": found.chapter,
+                "title": found.title,
+                "summary": result.summary,
+                "rows": [_row(row) for row in result.rows],
+                "figures": [_figure(figure) for figure in result.figures],
+                "numbers": dict(result.numbers),
+            }
+            for found, result in results.values()
+        ],
+    }
     return layout.json_text(content, sort_keys=True)
 
 
 def _row(row: Row) -> dict[str, Any]:
     differs = row.differs
-    return {"quantity": row.quantity, "unit": row.unit, "printed": row.printed, "ours": row.ours,
-            "note": row.note, "agrees": None if differs is None else not differs}
+    return {
+        "quantity": row.quantity,
+        "unit": row.unit,
+        "printed": row.printed,
+        "ours": row.ours,
+        "note": row.note,
+        "agrees": None if differs is None else not differs,
+    }
 
 
 def _figure(figure: Figure | Heatmap) -> dict[str, Any]:
-    common = {"key": figure.key, "title": figure.title, "note": figure.note,
-              "x_label": figure.x_label, "y_label": figure.y_label}
+    common = {
+        "key": figure.key,
+        "title": figure.title,
+        "note": figure.note,
+        "x_label": figure.x_label,
+        "y_label": figure.y_label,
+    }
     if isinstance(figure, Heatmap):
-        return {**common, "value_label": figure.value_label, "x": _list(figure.x),
-                "y": _list(figure.y), "values": [_list(row) for row in figure.values]}
+        return {
+            **common,
+            "value_label": figure.value_label,
+            "x": _list(figure.x),
+            "y": _list(figure.y),
+            "values": [_list(row) for row in figure.values],
+        }
     curves = []
     for curve in figure.curves:
         x, y = thin(curve)

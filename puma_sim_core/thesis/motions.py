@@ -39,12 +39,10 @@ def open_circuit(plant: Plant) -> Plant:
 
 def one_joint(plant: Plant, joint: int, max_step: float = SERVO_PERIOD) -> Simulator:
     """A simulator of the plant with the two other joints truly locked."""
-    return Simulator(plant, constraints=tuple(FREE if j == joint else HELD for j in (1, 2, 3)),
-                     max_step=max_step)
+    return Simulator(plant, constraints=tuple(FREE if j == joint else HELD for j in (1, 2, 3)), max_step=max_step)
 
 
-def drive(simulator: Simulator, joint: int, pose, voltage: float, duration: float,
-          sample: float = 0.02) -> Recording:
+def drive(simulator: Simulator, joint: int, pose, voltage: float, duration: float, sample: float = 0.02) -> Recording:
     """The joint under a constant voltage [V] from rest at a pose [rad], for `duration` [s]."""
     time = sample * np.arange(int(np.ceil(duration / sample)) + 1)
     volts = np.zeros((len(time), 3))
@@ -67,8 +65,7 @@ def first_time(time, values, level: float) -> float:
     return float(time[k - 1] + share * (time[k] - time[k - 1]))
 
 
-def crossing_time(simulator: Simulator, joint: int, pose, voltage: float,
-                  longest: float) -> float:
+def crossing_time(simulator: Simulator, joint: int, pose, voltage: float, longest: float) -> float:
     """Time [s] that a constant voltage takes to drive a joint from one end of its range to the
     other, from rest; infinity if it takes longer than `longest` [s]. The sign of the voltage
     tells the direction; `pose` [rad] gives the angles of the other joints."""

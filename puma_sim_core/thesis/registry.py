@@ -4,12 +4,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 import hashlib
 import importlib
 import pkgutil
 import re
-from typing import Callable
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -65,8 +65,7 @@ def experiment(number: str, title: str, *, chapter: str | None = None):
     def register(run: Callable[[Context], Result]) -> Callable[[Context], Result]:
         before = _FOUND.get(number)
         if before is not None and before.run.__module__ != run.__module__:
-            raise ValueError(f"experiment {number} stands in {before.run.__module__} and in "
-                             f"{run.__module__}")
+            raise ValueError(f"experiment {number} stands in {before.run.__module__} and in {run.__module__}")
         _FOUND[number] = Experiment(number, title, chapter or number, run)
         return run
 
@@ -98,9 +97,7 @@ def find(number: str) -> list[Experiment]:
     everything = experiments()
     if number in everything:
         return [everything[number]]
-    within = [each for each in everything.values()
-              if each.number.startswith(f"{number}.") or each.chapter == number]
+    within = [each for each in everything.values() if each.number.startswith(f"{number}.") or each.chapter == number]
     if not within:
-        raise ParameterError(f"no experiment {number!r}", where="thesis",
-                             expected=f"one of {', '.join(everything)}")
+        raise ParameterError(f"no experiment {number!r}", where="thesis", expected=f"one of {', '.join(everything)}")
     return within

@@ -7,10 +7,11 @@ One HTML file that needs no network: drawings and style stand inside it, and the
 
 from __future__ import annotations
 
-from html import escape
 import math
 import re
-from typing import Any, Callable, Mapping
+from collections.abc import Callable, Mapping
+from html import escape
+from typing import Any
 
 from .. import __version__
 from .drawing import legend_svg, styles, svg
@@ -36,8 +37,9 @@ _HEAD = """<!DOCTYPE html>
 """
 
 
-def page(results: Mapping[str, tuple[Experiment, Result]], seed: int,
-         progress: Callable[[float], None] = lambda share: None) -> str:
+def page(
+    results: Mapping[str, tuple[Experiment, Result]], seed: int, progress: Callable[[float], None] = lambda share: None
+) -> str:
     """The page of these experiments, in their order.
 
     Parameters
@@ -50,15 +52,16 @@ def page(results: Mapping[str, tuple[Experiment, Result]], seed: int,
     ------
     ParameterError : matplotlib is missing.
     """
-    parts = [_HEAD.format(title=_TITLE, css=CSS, policy=_POLICY), _opening(),
-             _contents(results), "<main>\n"]
+    parts = [_HEAD.format(title=_TITLE, css=CSS, policy=_POLICY), _opening(), _contents(results), "<main>\n"]
     for index, (found, result) in enumerate(results.values()):
         parts.append(_section(found, result))
         progress((index + 1) / len(results))
-    parts.append("</main>\n<footer><p>Made by puma-sim "
-                 f"{escape(__version__)}, seed {seed}. "
-                 "The numbers and the curves stand in the JSON file beside this page.</p>"
-                 "</footer>\n</body>\n</html>\n")
+    parts.append(
+        "</main>\n<footer><p>Made by puma-sim "
+        f"{escape(__version__)}, seed {seed}. "
+        "The numbers and the curves stand in the JSON file beside this page.</p>"
+        "</footer>\n</body>\n</html>\n"
+    )
     return "".join(parts)
 
 
@@ -93,14 +96,17 @@ def _opening() -> str:
         '<p>A row is marked <span class="mark agrees" style="display:inline">agrees</span> when '
         "the numbers are within 1 % of each other (in section 4.5: within the digits printed), and "
         '<span class="mark differs" style="display:inline">differs</span> when they are not. An '
-        "empty cell means that the thesis prints no number there.</p></header>\n")
+        "empty cell means that the thesis prints no number there.</p></header>\n"
+    )
 
 
 def _contents(results: Mapping[str, tuple[Experiment, Result]]) -> str:
-    lines = [f'<li><span class="number">{escape(_number(found))}</span><div>'
-             f'<a href="#{_anchor(found)}">{escape(found.title)}</a>'
-             f"<p>{_rich(first_sentence(result.summary))}</p></div></li>\n"
-             for found, result in results.values()]
+    lines = [
+        f'<li><span class="number">{escape(_number(found))}</span><div>'
+        f'<a href="#{_anchor(found)}">{escape(found.title)}</a>'
+        f"<p>{_rich(first_sentence(result.summary))}</p></div></li>\n"
+        for found, result in results.values()
+    ]
     return f'<nav aria-label="Contents"><h2>Contents</h2>\n<ol>\n{"".join(lines)}</ol></nav>\n'
 
 
@@ -109,11 +115,9 @@ def _section(found: Experiment, result: Result) -> str:
     number = _number(found)
     shown = f'<span class="number">{escape(number)}</span> ' if number else ""
     parts = [f'<section id="{anchor}">\n<h2>{shown}{escape(found.title)}</h2>\n']
-    parts += [f"<p>{_rich(paragraph)}</p>\n"
-              for paragraph in re.split(r"\n\s*\n", result.summary.strip())]
+    parts += [f"<p>{_rich(paragraph)}</p>\n" for paragraph in re.split(r"\n\s*\n", result.summary.strip())]
     errata = found.number == "errata"
-    parts.append(_table(result.rows, ("Place", "Printed", "Correct", "Effect on the numbers")
-                        if errata else None))
+    parts.append(_table(result.rows, ("Place", "Printed", "Correct", "Effect on the numbers") if errata else None))
     if result.page_rows:
         parts.append("<h3>Measured on this run, and so not in the JSON</h3>\n")
         parts.append(_table(result.page_rows))
@@ -138,16 +142,22 @@ def _table(rows: tuple[Row, ...], heads: tuple[str, ...] | None = None) -> str:
             word = "differs" if off else "agrees"
             mark = f' <span class="mark {word}">{word}</span>'
         block = " block" if "\n" in f"{row.printed}{row.ours}" else ""
-        cells = [(names[1], f"value printed{block}", _rich(number_text(row.printed))),
-                 (names[2], f"value ours{block}", _rich(number_text(row.ours)) + mark),
-                 ("", "note", _rich(row.note))]
-        lines.append(f"<tr><th scope=\"row\">{_rich(row.quantity)}{unit}</th>" + "".join(
-            f'<td class="{kind}"{f" data-name={chr(34)}{name}{chr(34)}" if name else ""}>'
-            f"{text}</td>" for name, kind, text in cells) + "</tr>\n")
+        cells = [
+            (names[1], f"value printed{block}", _rich(number_text(row.printed))),
+            (names[2], f"value ours{block}", _rich(number_text(row.ours)) + mark),
+            ("", "note", _rich(row.note)),
+        ]
+        lines.append(
+            f'<tr><th scope="row">{_rich(row.quantity)}{unit}</th>'
+            + "".join(
+                f'<td class="{kind}"{f" data-name={chr(34)}{name}{chr(34)}" if name else ""}>{text}</td>'
+                for name, kind, text in cells
+            )
+            + "</tr>\n"
+        )
     head = "".join(f'<th scope="col">{name}</th>' for name in names)
     kind = ' class="words"' if heads else ""
-    return (f"<table{kind}>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{''.join(lines)}"
-            f"</tbody>\n</table>\n")
+    return f"<table{kind}>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{''.join(lines)}</tbody>\n</table>\n"
 
 
 def _figure(figure: Figure | Heatmap, prefix: str) -> str:
@@ -158,21 +168,24 @@ def _figure(figure: Figure | Heatmap, prefix: str) -> str:
     title = f"{name}. {figure.title}" if name else figure.title
     legend = ""
     if isinstance(figure, Figure) and (len(figure.curves) > 1 or figure.curves[0].label):
-        items = "".join(f"<li>{legend_svg(style)}<span>{_rich(curve.label)}</span></li>"
-                        for curve, style in zip(figure.curves, styles(figure)))
+        items = "".join(
+            f"<li>{legend_svg(style)}<span>{_rich(curve.label)}</span></li>"
+            for curve, style in zip(figure.curves, styles(figure))
+        )
         legend = f'<ul class="legend">{items}</ul>\n'
     note = f"<p>{_rich(figure.note)}</p>\n" if figure.note else ""
-    return (f"<figure>\n<figcaption>{_rich(title)}</figcaption>\n{svg(figure, prefix)}\n"
-            f"{legend}{note}</figure>\n")
+    return f"<figure>\n<figcaption>{_rich(title)}</figcaption>\n{svg(figure, prefix)}\n{legend}{note}</figure>\n"
 
 
 def _numbers(numbers: Mapping[str, Any]) -> str:
     if not numbers:
         return ""
-    items = "".join(f"<div><dt>{escape(name)}</dt><dd>{_rich(_short(value))}</dd></div>\n"
-                    for name, value in numbers.items())
-    return (f"<details><summary>Further numbers ({len(numbers)})</summary>\n"
-            f'<dl class="numbers">\n{items}</dl></details>\n')
+    items = "".join(
+        f"<div><dt>{escape(name)}</dt><dd>{_rich(_short(value))}</dd></div>\n" for name, value in numbers.items()
+    )
+    return (
+        f'<details><summary>Further numbers ({len(numbers)})</summary>\n<dl class="numbers">\n{items}</dl></details>\n'
+    )
 
 
 def _short(value: Any) -> str:
@@ -187,9 +200,11 @@ def _short(value: Any) -> str:
 
 def _rich(text: str) -> str:
     """Escaped, with powers raised: kg.m^2, 10^-5."""
-    raised = re.sub(r"\^(\(?)([-\N{MINUS SIGN}+]?[0-9]+)(\)?)",
-                    lambda m: f"<sup>{m[2]}</sup>" if bool(m[1]) == bool(m[3]) else m[0],
-                    escape(text))
+    raised = re.sub(
+        r"\^(\(?)([-\N{MINUS SIGN}+]?[0-9]+)(\)?)",
+        lambda m: f"<sup>{m[2]}</sup>" if bool(m[1]) == bool(m[3]) else m[0],
+        escape(text),
+    )
     return re.sub(r"<sup>-", "<sup>\N{MINUS SIGN}", raised)
 
 
@@ -202,5 +217,4 @@ def _anchor(found: Experiment) -> str:
 
 
 def _is_number(value: Any) -> bool:
-    return (isinstance(value, (int, float)) and not isinstance(value, bool)
-            and math.isfinite(value))
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)

@@ -4,9 +4,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 import math
-from typing import Any, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -74,8 +75,9 @@ class Curve:
     def __post_init__(self) -> None:
         x, y = (np.atleast_1d(np.asarray(v, dtype=float)) for v in (self.x, self.y))
         if x.ndim != 1 or x.shape != y.shape or x.size == 0:
-            raise ValueError(f"curve {self.label!r}: x {x.shape} and y {y.shape}; expected two "
-                             f"equally long, non-empty vectors")
+            raise ValueError(
+                f"curve {self.label!r}: x {x.shape} and y {y.shape}; expected two equally long, non-empty vectors"
+            )
         if self.style not in STYLES:
             raise ValueError(f"curve {self.label!r}: style {self.style!r}; expected {STYLES}")
         object.__setattr__(self, "x", x)
@@ -128,10 +130,11 @@ class Heatmap:
     def __post_init__(self) -> None:
         for name in ("x", "y", "values"):
             object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=float))
-        if self.x.ndim != 1 or self.y.ndim != 1 or (
-                self.values.shape != (self.y.size, self.x.size)):
-            raise ValueError(f"heatmap {self.key}: x {self.x.shape}, y {self.y.shape}, values "
-                             f"{self.values.shape}; expected (nx,), (ny,), (ny, nx)")
+        if self.x.ndim != 1 or self.y.ndim != 1 or (self.values.shape != (self.y.size, self.x.size)):
+            raise ValueError(
+                f"heatmap {self.key}: x {self.x.shape}, y {self.y.shape}, values "
+                f"{self.values.shape}; expected (nx,), (ny,), (ny, nx)"
+            )
 
 
 @dataclass(frozen=True)
@@ -158,16 +161,16 @@ class Result:
     def __post_init__(self) -> None:
         for name in ("rows", "figures", "page_rows", "page_figures"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
-        object.__setattr__(self, "numbers", {
-            str(name): _plain(value, f"number {name!r}") for name, value in self.numbers.items()})
+        object.__setattr__(
+            self, "numbers", {str(name): _plain(value, f"number {name!r}") for name, value in self.numbers.items()}
+        )
 
 
 def matrix_text(rows: Sequence[Sequence[str]]) -> str:
     """A matrix as lines with its columns one below the other; tables show it so."""
     texts = [[text.replace("-", "\N{MINUS SIGN}") for text in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(*texts)]
-    return "\n".join("  ".join(f"{text:>{width}}" for text, width in zip(row, widths))
-                     for row in texts)
+    return "\n".join("  ".join(f"{text:>{width}}" for text, width in zip(row, widths)) for row in texts)
 
 
 def _is_number(value: Any) -> bool:

@@ -8,7 +8,7 @@ import multiprocessing
 import queue
 import signal
 import traceback
-from typing import Callable, Sequence
+from collections.abc import Callable, Sequence
 
 from .registry import Context, Experiment, experiments
 from .result import Result
@@ -17,9 +17,12 @@ from .result import Result
 _LOOK = 0.1
 
 
-def run(chosen: Sequence[Experiment], seed: int, jobs: int = 1,
-        progress: Callable[[str, float], None] = lambda what, share: None,
-        ) -> dict[str, tuple[Experiment, Result]]:
+def run(
+    chosen: Sequence[Experiment],
+    seed: int,
+    jobs: int = 1,
+    progress: Callable[[str, float], None] = lambda what, share: None,
+) -> dict[str, tuple[Experiment, Result]]:
     """Results by number, in the order given.
 
     Parameters
@@ -36,8 +39,10 @@ def run(chosen: Sequence[Experiment], seed: int, jobs: int = 1,
     if jobs <= 1 or len(chosen) <= 1:
         found = []
         for index, each in enumerate(chosen):
+
             def report(share: float, index=index, each=each) -> None:
                 progress(each.number, (index + min(1.0, max(0.0, share))) / len(chosen))
+
             report(0.0)
             found.append(_guarded(each, Context(seed, report)))
         return {each.number: (each, result) for each, result in zip(chosen, found)}
@@ -53,8 +58,10 @@ def _run_in_processes(chosen, seed, jobs, progress):
     for task in [*range(len(chosen)), *[None] * jobs]:
         tasks.put(task)
     numbers = [each.number for each in chosen]
-    workers = [context.Process(target=_work, args=(tasks, answers, shares, numbers, seed))
-               for _ in range(min(jobs, len(chosen)))]
+    workers = [
+        context.Process(target=_work, args=(tasks, answers, shares, numbers, seed))
+        for _ in range(min(jobs, len(chosen)))
+    ]
     found: dict[int, Result] = {}
     try:
         for worker in workers:
@@ -71,11 +78,11 @@ def _run_in_processes(chosen, seed, jobs, progress):
                 if isinstance(result, BaseException):
                     raise result
                 found[index] = result
-            running = [numbers[i] for i, share in enumerate(shares)
-                       if share > 0.0 and i not in found]
-            progress(", ".join(running) or "starting",
-                     sum(1.0 if i in found else share for i, share in enumerate(shares))
-                     / len(chosen))
+            running = [numbers[i] for i, share in enumerate(shares) if share > 0.0 and i not in found]
+            progress(
+                ", ".join(running) or "starting",
+                sum(1.0 if i in found else share for i, share in enumerate(shares)) / len(chosen),
+            )
     finally:
         for worker in workers:
             if worker.is_alive() and len(found) < len(chosen):
@@ -90,8 +97,10 @@ def _work(tasks, answers, shares, numbers, seed) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     known = experiments()
     for index in iter(tasks.get, None):
+
         def report(share: float, index=index) -> None:
             shares[index] = max(1e-9, min(1.0, share))
+
         report(0.0)
         try:
             answers.put((index, _guarded(known[numbers[index]], Context(seed, report))))

@@ -29,26 +29,33 @@ def coefficient_terms(arm: ArmParameters) -> dict[str, dict[str, float]]:
     k = lumped_constants(arm)
     # C113 and C112 are halves of the derivatives of D11, written in the thesis's functions:
     # S23 C23 = C2 S2 + C3 S3 - 2 S2 S3 S23 and S2 C23 = C2 S23 - S3
-    common = {"1": -k.A4 / 2, "C3S3": -k.A3, "S2S3S23": 2 * k.A3, "C23^2": k.A4,
-              "C2C23": k.A6 / 2}
+    common = {"1": -k.A4 / 2, "C3S3": -k.A3, "S2S3S23": 2 * k.A3, "C23^2": k.A4, "C2C23": k.A6 / 2}
     outer = {"S23": -k.B2, "C23": k.B1}
     side = {"S23": k.B1, "C23": k.B2}
     slope = {"C3": k.E2, "S3": -k.E1}
     forearm = {"C23": k.g1, "S23": k.g2}
     return {
-        "D11": {"1": k.A0 + k.A3, "C2^2": k.A1, "C2S2": k.A2, "S23^2": -k.A3, "C2C23": k.A5,
-                "C23S23": k.A4, "C2S23": k.A6},
+        "D11": {
+            "1": k.A0 + k.A3,
+            "C2^2": k.A1,
+            "C2S2": k.A2,
+            "S23^2": -k.A3,
+            "C2C23": k.A5,
+            "C23S23": k.A4,
+            "C2S23": k.A6,
+        },
         "D22": {"1": k.E3, "S3": 2 * k.E2, "C3": 2 * k.E1},
         "D33": {"1": k.E4},
         "D12": {"S2": k.B3, **({"C2": k.B4} if k.B4 else {}), **side},
         "D13": side,
         "D23": {"1": k.E0, "S3": k.E2, "C3": k.E1},
-        "C112": {**common, "C2S2": -k.A3 - k.A1, "C2S23": -k.A5, "S2S23": -k.A6 / 2,
-                 "C22": k.A2 / 2, "S3": k.A5 / 2},
+        "C112": {**common, "C2S2": -k.A3 - k.A1, "C2S23": -k.A5, "S2S23": -k.A6 / 2, "C22": k.A2 / 2, "S3": k.A5 / 2},
         "C113": {**common, "C2S2": -k.A3, "C2S23": -k.A5 / 2},
         "C122": {"C2": k.B3, **({"S2": -k.B4} if k.B4 else {}), **outer},
-        "C123": outer, "C133": outer,
-        "C223": slope, "C233": slope,
+        "C123": outer,
+        "C133": outer,
+        "C223": slope,
+        "C233": slope,
         "G2": {"C2": k.g3, "S2": k.g4, **forearm},
         "G3": forearm,
     }
@@ -67,11 +74,13 @@ def printed_terms() -> list[tuple[str, str, float, float]]:
 
     A function that the print lacks stands with 0 and the accuracy of four decimals.
     """
-    return [(name, term.basis, term.printed, 0.5 * 10.0 ** -_DECIMALS.get(term.printed, 4))
-            for name, terms in COEFFICIENTS.items() for term in terms]
+    return [
+        (name, term.basis, term.printed, 0.5 * 10.0 ** -_DECIMALS.get(term.printed, 4))
+        for name, terms in COEFFICIENTS.items()
+        for term in terms
+    ]
 
 
 def is_misprint(name: str, basis: str) -> bool:
     """Whether the print of this term cannot come from any parameters, whatever they are."""
-    return any(term.basis == basis and term.printed != term.corrected
-               for term in COEFFICIENTS[name])
+    return any(term.basis == basis and term.printed != term.corrected for term in COEFFICIENTS[name])

@@ -60,8 +60,7 @@ def case(plot: str) -> Case:
 
 def gains_text(gains: PidGains) -> str:
     """Gains for a person."""
-    return (f"Kg {gains.gain:.4g} V/rad, Ti {gains.integral_time:.3g} s, "
-            f"Td {gains.derivative_time:.3g} s")
+    return f"Kg {gains.gain:.4g} V/rad, Ti {gains.integral_time:.3g} s, Td {gains.derivative_time:.3g} s"
 
 
 def path(start, moves, duration: float, period: float = PERIOD) -> np.ndarray:
@@ -79,8 +78,18 @@ def path(start, moves, duration: float, period: float = PERIOD) -> np.ndarray:
     return setpoint
 
 
-def run(plant: Plant, gains, pose, setpoint, *, alone: int | None = None, period: float = PERIOD,
-        samples: int = SAMPLES, voltage_limit: float = 40.0, **servo) -> Recording:
+def run(
+    plant: Plant,
+    gains,
+    pose,
+    setpoint,
+    *,
+    alone: int | None = None,
+    period: float = PERIOD,
+    samples: int = SAMPLES,
+    voltage_limit: float = 40.0,
+    **servo,
+) -> Recording:
     """The arm at rest at `pose`, under the servo; `alone`: the one joint that is not locked.
 
     servo : options of `ServoConfig`. The derivative is that of the error, as in the thesis.
@@ -89,8 +98,7 @@ def run(plant: Plant, gains, pose, setpoint, *, alone: int | None = None, period
     simulator = Simulator(plant, constraints=held)
     simulator.reset(pose)
     config = ServoConfig(tuple(gains), **{"derivative_on_measurement": False, **servo})
-    return simulator.run_servo(setpoint, config, period=period, samples=samples,
-                               voltage_limit=voltage_limit)
+    return simulator.run_servo(setpoint, config, period=period, samples=samples, voltage_limit=voltage_limit)
 
 
 def printed_pid(*plots: str) -> tuple[PidGains, ...]:

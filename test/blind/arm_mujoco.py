@@ -4,8 +4,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 import math
+from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
@@ -61,32 +61,40 @@ def model(p: arm.Parameters, mechanics: Mechanics, step: float):
     bodies = ""
     for j, place in enumerate(places):
         armature = float(p["Ia"][j]) * (1.0 - MOTOR_SHARE if j in mechanics.drive else 1.0)
-        bodies += (f'<body name="link{j}" {_placed(*place)}>{_joint(j, armature, mechanics)}'
-                   f'{inertial}')
+        bodies += f'<body name="link{j}" {_placed(*place)}>{_joint(j, armature, mechanics)}{inertial}'
     if mechanics.payload:
         mass, x, y, z = mechanics.payload
         # frame 3 of Denavit and Hartenberg stands behind joint 3's body frame
-        bodies += (f'<body {_placed(arm.A3, arm.D3, math.pi / 2)}><body pos="{x!r} {y!r} {z!r}">'
-                   f'<inertial pos="0 0 0" mass="{mass!r}" diaginertia="1e-9 1e-9 1e-9"/>'
-                   '</body></body>')
+        bodies += (
+            f'<body {_placed(arm.A3, arm.D3, math.pi / 2)}><body pos="{x!r} {y!r} {z!r}">'
+            f'<inertial pos="0 0 0" mass="{mass!r}" diaginertia="1e-9 1e-9 1e-9"/>'
+            "</body></body>"
+        )
     bodies += "</body>" * 3
     motor, tendons = np.arange(3), ""
     for extra, (j, (stiffness, damping, gap)) in enumerate(sorted(mechanics.drive.items())):
         motor[j] = 3 + extra
-        bodies += (f'<body><joint name="rotor{j}" axis="0 0 1" '
-                   f'armature="{MOTOR_SHARE * float(p["Ia"][j])!r}" {_SHARP}/>'
-                   '<inertial pos="0 0 0" mass="1e-9" diaginertia="1e-12 1e-12 1e-12"/></body>')
-        tendons += (f'<fixed stiffness="{stiffness!r}" damping="{damping!r}" '
-                    f'springlength="{-gap / 2!r} {gap / 2!r}"><joint joint="rotor{j}" coef="1"/>'
-                    f'<joint joint="joint{j}" coef="-1"/></fixed>')
+        bodies += (
+            f'<body><joint name="rotor{j}" axis="0 0 1" '
+            f'armature="{MOTOR_SHARE * float(p["Ia"][j])!r}" {_SHARP}/>'
+            '<inertial pos="0 0 0" mass="1e-9" diaginertia="1e-12 1e-12 1e-12"/></body>'
+        )
+        tendons += (
+            f'<fixed stiffness="{stiffness!r}" damping="{damping!r}" '
+            f'springlength="{-gap / 2!r} {gap / 2!r}"><joint joint="rotor{j}" coef="1"/>'
+            f'<joint joint="joint{j}" coef="-1"/></fixed>'
+        )
     for j, (lower, upper, stiffness) in mechanics.stop.items():
-        tendons += (f'<fixed stiffness="{stiffness!r}" springlength="{lower!r} {upper!r}">'
-                    f'<joint joint="joint{j}" coef="1"/></fixed>')
+        tendons += (
+            f'<fixed stiffness="{stiffness!r}" springlength="{lower!r} {upper!r}">'
+            f'<joint joint="joint{j}" coef="1"/></fixed>'
+        )
     gx, gy, gz = _gravity(mechanics.tilt)
     made = mujoco.MjModel.from_xml_string(
         f'<mujoco><compiler angle="radian"/><option timestep="{step!r}" integrator="Euler" '
         f'gravity="{gx!r} {gy!r} {gz!r}"><flag contact="disable"/></option>'
-        f'<worldbody>{bodies}</worldbody><tendon>{tendons}</tendon></mujoco>')
+        f"<worldbody>{bodies}</worldbody><tendon>{tendons}</tendon></mujoco>"
+    )
     _write_inertias(made, p, places)
     made.dof_damping[motor] = p["H"]
     return made, motor
@@ -96,8 +104,7 @@ def _gravity(tilt) -> tuple[float, float, float]:
     """Gravity in the frame of a base that leans by (x, y): g (x, y, -1) to first order."""
     lean = math.hypot(*tilt)
     across = math.sin(lean) / lean if lean > 0.0 else 1.0
-    return (arm.GRAVITY * across * tilt[0], arm.GRAVITY * across * tilt[1],
-            -arm.GRAVITY * math.cos(lean))
+    return (arm.GRAVITY * across * tilt[0], arm.GRAVITY * across * tilt[1], -arm.GRAVITY * math.cos(lean))
 
 
 def _write_inertias(made, p, places) -> None:

@@ -24,19 +24,69 @@ from .arm_mujoco import Mechanics, model
 (LIBRARY,) = Path(mujoco.__file__).parent.glob("libmujoco*.so*")
 # compiled code finds the functions of libraries that are open to the whole process
 ctypes.CDLL(str(LIBRARY), mode=ctypes.RTLD_GLOBAL)
-_mj_step = numba.types.ExternalFunction("mj_step",
-                                        numba.types.void(numba.types.intp, numba.types.intp))
+_mj_step = numba.types.ExternalFunction("mj_step", numba.types.void(numba.types.intp, numba.types.intp))
 
 # columns of the table of effects, one row a joint
-(COULOMB, BIAS, STRIBECK, STRIBECK_SPEED, LOAD, POSITION, POSITION_ANGLE, BRISTLE,
- BRISTLE_LEVEL, QUADRATIC, RIPPLE, RIPPLE_ORDER, RIPPLE_PHASE, PUSH, PUSH_TIME, PUSH_WIDTH, WARM,
- WARM_TIME, HOT, HOT_TIME, DEAD_BAND, OFFSET, SATURATION, LIMIT, SENSOR_LAG, ENCODER, NONLINEAR,
- NONLINEAR_PERIOD, NONLINEAR_PHASE, ECCENTRIC, ECCENTRIC_ORDER, ECCENTRIC_PHASE, HALF_GAP,
- CONTACT, CONTACT_LOSS, OUTSIDE, OUT_A, OUT_B, OUT_C, OUT_D, COLUMNS) = range(41)
+(
+    COULOMB,
+    BIAS,
+    STRIBECK,
+    STRIBECK_SPEED,
+    LOAD,
+    POSITION,
+    POSITION_ANGLE,
+    BRISTLE,
+    BRISTLE_LEVEL,
+    QUADRATIC,
+    RIPPLE,
+    RIPPLE_ORDER,
+    RIPPLE_PHASE,
+    PUSH,
+    PUSH_TIME,
+    PUSH_WIDTH,
+    WARM,
+    WARM_TIME,
+    HOT,
+    HOT_TIME,
+    DEAD_BAND,
+    OFFSET,
+    SATURATION,
+    LIMIT,
+    SENSOR_LAG,
+    ENCODER,
+    NONLINEAR,
+    NONLINEAR_PERIOD,
+    NONLINEAR_PHASE,
+    ECCENTRIC,
+    ECCENTRIC_ORDER,
+    ECCENTRIC_PHASE,
+    HALF_GAP,
+    CONTACT,
+    CONTACT_LOSS,
+    OUTSIDE,
+    OUT_A,
+    OUT_B,
+    OUT_C,
+    OUT_D,
+    COLUMNS,
+) = range(41)
 
 # kinds of what is outside the library, in column OUTSIDE
-(CABLE, CUBIC_SPRING, FRICTION_STEP, TORQUE_STEP, SHAKE, EVEN_INERTIA, SQUARE, EVEN_VISCOUS,
- VOLTAGE_PLAY, EVEN_GAIN, EVEN_TORQUE, CURRENT_RIPPLE, LEAK) = range(1, 14)
+(
+    CABLE,
+    CUBIC_SPRING,
+    FRICTION_STEP,
+    TORQUE_STEP,
+    SHAKE,
+    EVEN_INERTIA,
+    SQUARE,
+    EVEN_VISCOUS,
+    VOLTAGE_PLAY,
+    EVEN_GAIN,
+    EVEN_TORQUE,
+    CURRENT_RIPPLE,
+    LEAK,
+) = range(1, 14)
 
 
 def no_effects() -> np.ndarray:
@@ -99,9 +149,18 @@ class Run:
     motion: np.ndarray
 
 
-def simulate(p: arm.Parameters, mechanics: Mechanics, table: np.ndarray, droop: float,
-             delay: float, controller: Controller, sampling: Sampling, noise: np.ndarray,
-             torque_noise: np.ndarray, quantised: bool = True) -> Run:
+def simulate(
+    p: arm.Parameters,
+    mechanics: Mechanics,
+    table: np.ndarray,
+    droop: float,
+    delay: float,
+    controller: Controller,
+    sampling: Sampling,
+    noise: np.ndarray,
+    torque_noise: np.ndarray,
+    quantised: bool = True,
+) -> Run:
     """The run of a plant that starts at rest at the first setpoint.
 
     noise [V], torque_noise [N.m] (n, 3): held for a sample each; sampling : of the controller and
@@ -122,11 +181,36 @@ def simulate(p: arm.Parameters, mechanics: Mechanics, table: np.ndarray, droop: 
     motion = np.zeros((len(commanded) * sampling.rows, 3))
     drive = np.stack([p["R"], p["L"], p["ke"] * arm.GEAR, p["kt"] * arm.GEAR, p["Ia"], p["H"]])
     gains = np.stack([controller.kp, controller.ki, controller.kd])
-    _loop(made._address, data._address, data.qpos, data.qvel, data.qacc, data.qfrc_applied,
-          made.dof_frictionloss, made.dof_damping, motor, drive, table, droop, delay,
-          controller.voltage, controller.setpoint, gains, controller.limit, sampling.rows, STEPS,
-          sampling.step, noise, torque_noise, arm.QUANTUM if quantised else np.zeros(3),
-          np.array(arm.gravity_constants(p)), hold, commanded, measured, motion)
+    _loop(
+        made._address,
+        data._address,
+        data.qpos,
+        data.qvel,
+        data.qacc,
+        data.qfrc_applied,
+        made.dof_frictionloss,
+        made.dof_damping,
+        motor,
+        drive,
+        table,
+        droop,
+        delay,
+        controller.voltage,
+        controller.setpoint,
+        gains,
+        controller.limit,
+        sampling.rows,
+        STEPS,
+        sampling.step,
+        noise,
+        torque_noise,
+        arm.QUANTUM if quantised else np.zeros(3),
+        np.array(arm.gravity_constants(p)),
+        hold,
+        commanded,
+        measured,
+        motion,
+    )
     return Run(commanded, measured, motion)
 
 
@@ -157,7 +241,7 @@ def _outside_torque(e, j, t, q, qd, qdd, torque, current, gear, others):
     if kind == CABLE:
         return a * sin(b * (others[int(d)] - c))
     if kind == CUBIC_SPRING:
-        return a * (q - b)**3
+        return a * (q - b) ** 3
     if kind == TORQUE_STEP:
         return a if t > b else 0.0
     if kind == SHAKE:
@@ -176,9 +260,36 @@ def _outside_torque(e, j, t, q, qd, qdd, torque, current, gear, others):
 
 
 @numba.njit(cache=True)
-def _loop(mp, dp, qpos, qvel, qacc, applied, frictionloss, damping, motor, drive,
-          table, droop, delay, feed, setpoint, gains, limit, rows, steps, h, noise,
-          torque_noise, quantum, gravity, hold, commanded, measured, motion):
+def _loop(
+    mp,
+    dp,
+    qpos,
+    qvel,
+    qacc,
+    applied,
+    frictionloss,
+    damping,
+    motor,
+    drive,
+    table,
+    droop,
+    delay,
+    feed,
+    setpoint,
+    gains,
+    limit,
+    rows,
+    steps,
+    h,
+    noise,
+    torque_noise,
+    quantum,
+    gravity,
+    hold,
+    commanded,
+    measured,
+    motion,
+):
     n = feed.shape[0]
     per_sample = rows * steps
     T = per_sample * h
@@ -207,8 +318,7 @@ def _loop(mp, dp, qpos, qvel, qacc, applied, frictionloss, damping, motor, drive
                     e = table[j]
                     seen = lagged[j] if e[SENSOR_LAG] > 0.0 else _sensed(e, qpos[motor[j]])
                     if e[NONLINEAR] != 0.0:
-                        seen += e[NONLINEAR] * sin(2.0 * pi * seen / e[NONLINEAR_PERIOD]
-                                                   + e[NONLINEAR_PHASE])
+                        seen += e[NONLINEAR] * sin(2.0 * pi * seen / e[NONLINEAR_PERIOD] + e[NONLINEAR_PHASE])
                     motion[row, j] = seen + e[ENCODER]
             if s == 0:
                 for j in range(3):
@@ -220,8 +330,7 @@ def _loop(mp, dp, qpos, qvel, qacc, applied, frictionloss, damping, motor, drive
                     integral[j] += error * T
                     slope = (error - before[j]) / T if k > 0 else 0.0
                     before[j] = error
-                    v = (feed[k, j] + gains[0, j] * error + gains[1, j] * integral[j]
-                         + gains[2, j] * slope)
+                    v = feed[k, j] + gains[0, j] * error + gains[1, j] * integral[j] + gains[2, j] * slope
                     commanded[k, j] = max(-limit, min(limit, v))
             # the voltage of this step: a delay may end inside it
             late = k * per_sample + s - behind
@@ -238,7 +347,7 @@ def _loop(mp, dp, qpos, qvel, qacc, applied, frictionloss, damping, motor, drive
                 q, qd = qpos[dof], qvel[dof]
                 level = e[COULOMB]
                 if e[STRIBECK] != 0.0:
-                    level += e[STRIBECK] * exp(-(qd / e[STRIBECK_SPEED])**2)
+                    level += e[STRIBECK] * exp(-((qd / e[STRIBECK_SPEED]) ** 2))
                 if e[POSITION] != 0.0:
                     level += e[POSITION] * cos(q - e[POSITION_ANGLE])
                 if e[LOAD] != 0.0:
@@ -258,19 +367,17 @@ def _loop(mp, dp, qpos, qvel, qacc, applied, frictionloss, damping, motor, drive
                 if e[PUSH] != 0.0:
                     x = (t - e[PUSH_TIME]) / e[PUSH_WIDTH]
                     if abs(x) < 0.5:
-                        taken -= e[PUSH] * cos(pi * x)**2
+                        taken -= e[PUSH] * cos(pi * x) ** 2
                 if e[OUTSIDE] > 0.0:
                     smooth[j] += h / 2e-3 * (qacc[dof] - smooth[j])
-                    taken += _outside_torque(e, j, t, q, qd, smooth[j], given, current[j],
-                                             arm.GEAR[j], link)
+                    taken += _outside_torque(e, j, t, q, qd, smooth[j], given, current[j], arm.GEAR[j], link)
                 net = given - taken
                 if e[ECCENTRIC] != 0.0:
                     # the motor turns by dm/dl, and its inertia is felt through that ratio
                     m = _sensed(e, q)
                     x = e[ECCENTRIC_ORDER] * m + e[ECCENTRIC_PHASE]
                     ratio = 1.0 / (1.0 + e[ECCENTRIC] * e[ECCENTRIC_ORDER] * cos(x))
-                    bend = (e[ECCENTRIC] * e[ECCENTRIC_ORDER]**2 * sin(x)
-                            * (ratio * qd)**2 * ratio)
+                    bend = e[ECCENTRIC] * e[ECCENTRIC_ORDER] ** 2 * sin(x) * (ratio * qd) ** 2 * ratio
                     net = net * ratio - Ia[j] * (ratio * (ratio * qacc[dof] + bend) - qacc[dof])
                     net -= H[j] * qd * (ratio * ratio - 1.0)
                 if e[CONTACT_LOSS] != 0.0:

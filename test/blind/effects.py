@@ -63,14 +63,16 @@ class Effect:
 
 def scaled(effect: Effect, parameters: dict, strength: float) -> dict:
     """Parameters at a strength, rounded so that the answers say exactly what was simulated."""
-    return {name: float(f"{value * (strength if name in effect.scaled else 1.0):.6g}")
-            for name, value in parameters.items()}
+    return {
+        name: float(f"{value * (strength if name in effect.scaled else 1.0):.6g}") for name, value in parameters.items()
+    }
 
 
 def _set(column_values):
     def put(plant, j, p):
         for column, value in column_values(p).items():
             plant.table[j, column] = value
+
     return put
 
 
@@ -94,13 +96,17 @@ def _put_asymmetric(plant, j, p):
 
 
 def _draw_position(rng, j):
-    return {"torque": UNIT[j], "amplitude": UNIT[j] * rng.uniform(0.35, 0.8),
-            "angle": rng.uniform(-np.pi, np.pi)}
+    return {"torque": UNIT[j], "amplitude": UNIT[j] * rng.uniform(0.35, 0.8), "angle": rng.uniform(-np.pi, np.pi)}
 
 
 def _draw_stop(rng, j):
-    return {"lower": -NO_STOP, "upper": NO_STOP, "stiffness": float(10**rng.uniform(2.0, 3.5)),
-            "reach": 0.01, "side": rng.choice([-1.0, 1.0])}
+    return {
+        "lower": -NO_STOP,
+        "upper": NO_STOP,
+        "stiffness": float(10 ** rng.uniform(2.0, 3.5)),
+        "reach": 0.01,
+        "side": rng.choice([-1.0, 1.0]),
+    }
 
 
 def _put_stop(plant, j, p):
@@ -146,130 +152,257 @@ def _draw_tilt(rng, j):
 C = drives
 EFFECTS: dict[str, Effect] = {
     "coulomb_friction": Effect(
-        lambda rng, j: {"torque": UNIT[j]}, ("torque",), _torque(0, _DRY),
+        lambda rng, j: {"torque": UNIT[j]},
+        ("torque",),
+        _torque(0, _DRY),
         _set(lambda p: {C.COULOMB: p["torque"]}),
-        ("fourier", "points", "triangles", "bang"), "friction"),
+        ("fourier", "points", "triangles", "bang"),
+        "friction",
+    ),
     "asymmetric_coulomb_friction": Effect(
-        _draw_asymmetric, ("positive", "negative"), _torque(0, _DRY), _put_asymmetric,
-        ("fourier", "points", "triangles"), "friction"),
+        _draw_asymmetric,
+        ("positive", "negative"),
+        _torque(0, _DRY),
+        _put_asymmetric,
+        ("fourier", "points", "triangles"),
+        "friction",
+    ),
     "stribeck_friction": Effect(
-        lambda rng, j: {"torque": UNIT[j] * rng.uniform(0.3, 1.0), "sliding": UNIT[j],
-                        "velocity": rng.uniform(0.02, 0.1)},
-        ("torque", "sliding"), _torque(0, _DRY),
-        _set(lambda p: {C.COULOMB: p["sliding"], C.STRIBECK: p["torque"],
-                        C.STRIBECK_SPEED: p["velocity"]}),
-        ("crawl", "triangles", "crawl"), "friction", open_loop=False),
+        lambda rng, j: {
+            "torque": UNIT[j] * rng.uniform(0.3, 1.0),
+            "sliding": UNIT[j],
+            "velocity": rng.uniform(0.02, 0.1),
+        },
+        ("torque", "sliding"),
+        _torque(0, _DRY),
+        _set(lambda p: {C.COULOMB: p["sliding"], C.STRIBECK: p["torque"], C.STRIBECK_SPEED: p["velocity"]}),
+        ("crawl", "triangles", "crawl"),
+        "friction",
+        open_loop=False,
+    ),
     "presliding_friction": Effect(
-        lambda rng, j: {"stiffness": float(10**rng.uniform(3.3, 4.5)), "torque": UNIT[j]},
-        ("torque",), _torque(0, _DRY),
+        lambda rng, j: {"stiffness": float(10 ** rng.uniform(3.3, 4.5)), "torque": UNIT[j]},
+        ("torque",),
+        _torque(0, _DRY),
         _set(lambda p: {C.BRISTLE: p["stiffness"], C.BRISTLE_LEVEL: p["torque"]}),
-        ("micro", "crawl", "micro"), "friction", open_loop=False),
+        ("micro", "crawl", "micro"),
+        "friction",
+        open_loop=False,
+    ),
     "quadratic_friction": Effect(
-        lambda rng, j: {"coefficient": UNIT[j]}, ("coefficient",),
-        lambda j: 12.0 / UNIT[j], _set(lambda p: {C.QUADRATIC: p["coefficient"]}),
-        ("wide", "bang", "points"), "speed"),
+        lambda rng, j: {"coefficient": UNIT[j]},
+        ("coefficient",),
+        lambda j: 12.0 / UNIT[j],
+        _set(lambda p: {C.QUADRATIC: p["coefficient"]}),
+        ("wide", "bang", "points"),
+        "speed",
+    ),
     "load_dependent_friction": Effect(
-        lambda rng, j: {"coefficient": 0.05}, ("coefficient",), lambda j: 5.0,
+        lambda rng, j: {"coefficient": 0.05},
+        ("coefficient",),
+        lambda j: 5.0,
         _set(lambda p: {C.LOAD: p["coefficient"]}),
-        ("fourier", "wide", "points"), "friction", joints=(1, 2)),
+        ("fourier", "wide", "points"),
+        "friction",
+        joints=(1, 2),
+    ),
     "position_dependent_friction": Effect(
-        _draw_position, ("torque", "amplitude"), _torque(0, _DRY),
-        _set(lambda p: {C.COULOMB: p["torque"], C.POSITION: p["amplitude"],
-                        C.POSITION_ANGLE: p["angle"]}),
-        ("wide", "fourier"), "friction"),
+        _draw_position,
+        ("torque", "amplitude"),
+        _torque(0, _DRY),
+        _set(lambda p: {C.COULOMB: p["torque"], C.POSITION: p["amplitude"], C.POSITION_ANGLE: p["angle"]}),
+        ("wide", "fourier"),
+        "friction",
+    ),
     "torque_ripple": Effect(
-        lambda rng, j: {"amplitude": UNIT[j], "order": float(rng.choice([1, 1, 2, 2, 3, 4])),
-                        "phase": rng.uniform(-np.pi, np.pi)},
-        ("amplitude",), lambda j: 8.0 / UNIT[j], lambda plant, j, p: _set(
-            lambda p: {C.RIPPLE: p["amplitude"], C.RIPPLE_ORDER: p["order"] * arm.GEAR[j],
-                       C.RIPPLE_PHASE: p["phase"]})(plant, j, p),
-        ("constant", "crawl", "triangles"), "ripple", open_loop=False),
+        lambda rng, j: {
+            "amplitude": UNIT[j],
+            "order": float(rng.choice([1, 1, 2, 2, 3, 4])),
+            "phase": rng.uniform(-np.pi, np.pi),
+        },
+        ("amplitude",),
+        lambda j: 8.0 / UNIT[j],
+        lambda plant, j, p: _set(
+            lambda p: {C.RIPPLE: p["amplitude"], C.RIPPLE_ORDER: p["order"] * arm.GEAR[j], C.RIPPLE_PHASE: p["phase"]}
+        )(plant, j, p),
+        ("constant", "crawl", "triangles"),
+        "ripple",
+        open_loop=False,
+    ),
     "transmission_error": Effect(
-        lambda rng, j: {"amplitude": 1e-4, "order": float(rng.integers(8, 41)),
-                        "phase": rng.uniform(-np.pi, np.pi)},
-        ("amplitude",), lambda j: 15.0, _set(
-            lambda p: {C.ECCENTRIC: p["amplitude"], C.ECCENTRIC_ORDER: p["order"],
-                       C.ECCENTRIC_PHASE: p["phase"]}),
-        ("wide", "fourier", "points"), "transmission"),
+        lambda rng, j: {"amplitude": 1e-4, "order": float(rng.integers(8, 41)), "phase": rng.uniform(-np.pi, np.pi)},
+        ("amplitude",),
+        lambda j: 15.0,
+        _set(lambda p: {C.ECCENTRIC: p["amplitude"], C.ECCENTRIC_ORDER: p["order"], C.ECCENTRIC_PHASE: p["phase"]}),
+        ("wide", "fourier", "points"),
+        "transmission",
+    ),
     "backlash": Effect(
-        lambda rng, j: {"gap": 3e-4, "stiffness": float(rng.choice([5e5, 1e6])),
-                        "damping": float(rng.choice([100.0, 200.0]))},
-        ("gap",), lambda j: 10.0, _put_backlash, ("bang", "vertical"), "transmission",
-        band=(2.0, 8.0), start=4.0, least=0.4),
+        lambda rng, j: {
+            "gap": 3e-4,
+            "stiffness": float(rng.choice([5e5, 1e6])),
+            "damping": float(rng.choice([100.0, 200.0])),
+        },
+        ("gap",),
+        lambda j: 10.0,
+        _put_backlash,
+        ("bang", "vertical"),
+        "transmission",
+        band=(2.0, 8.0),
+        start=4.0,
+        least=0.4,
+    ),
     "joint_elasticity": Effect(
         # strength is a compliance: 1 is 5e4 N.m/rad
         lambda rng, j: {"compliance": 2e-5, "damping": float(rng.choice([0.5, 1.0, 3.0]))},
-        ("compliance",), lambda j: 16.0, _put_elasticity,
-        ("bang", "fourier", "points"), "transmission", band=(2.0, 14.0)),
+        ("compliance",),
+        lambda j: 16.0,
+        _put_elasticity,
+        ("bang", "fourier", "points"),
+        "transmission",
+        band=(2.0, 14.0),
+    ),
     "payload": Effect(
-        lambda rng, j: {"mass": 0.5, "x": rng.uniform(-0.03, 0.03), "y": 0.0,
-                        "z": 0.4331 + rng.uniform(0.0, 0.15)},
-        ("mass",), lambda j: 10.0, _put_payload, ("fourier", "points", "wide"), "load",
-        free=(0.0, 1.0)),
+        lambda rng, j: {"mass": 0.5, "x": rng.uniform(-0.03, 0.03), "y": 0.0, "z": 0.4331 + rng.uniform(0.0, 0.15)},
+        ("mass",),
+        lambda j: 10.0,
+        _put_payload,
+        ("fourier", "points", "wide"),
+        "load",
+        free=(0.0, 1.0),
+    ),
     "joint_spring": Effect(
         lambda rng, j: {"stiffness": 2.0, "angle": rng.uniform(-0.8, 0.8) + (0.0, -1.2, 1.2)[j]},
-        ("stiffness",), lambda j: 15.0, _put_spring, ("wide", "triangles", "fourier"), "spring"),
-    "soft_stop": Effect(
-        _draw_stop, ("reach",), lambda j: 15.0, _put_stop, ("fourier", "wide", "points"), "stop"),
-    "base_tilt": Effect(
-        _draw_tilt, ("x", "y"), lambda j: 10.0, _put_tilt, ("wide",), "gravity"),
+        ("stiffness",),
+        lambda j: 15.0,
+        _put_spring,
+        ("wide", "triangles", "fourier"),
+        "spring",
+    ),
+    "soft_stop": Effect(_draw_stop, ("reach",), lambda j: 15.0, _put_stop, ("fourier", "wide", "points"), "stop"),
+    "base_tilt": Effect(_draw_tilt, ("x", "y"), lambda j: 10.0, _put_tilt, ("wide",), "gravity"),
     "resistance_drift": Effect(
-        lambda rng, j: {"share": 0.12, "time_constant": rng.uniform(2.0, 15.0)}, ("share",),
-        lambda j: 5.0, _set(lambda p: {C.HOT: p["share"], C.HOT_TIME: p["time_constant"]}),
-        ("repeat", "points"), "drift", joints=(1, 2)),
+        lambda rng, j: {"share": 0.12, "time_constant": rng.uniform(2.0, 15.0)},
+        ("share",),
+        lambda j: 5.0,
+        _set(lambda p: {C.HOT: p["share"], C.HOT_TIME: p["time_constant"]}),
+        ("repeat", "points"),
+        "drift",
+        joints=(1, 2),
+    ),
     "friction_warm_up": Effect(
-        lambda rng, j: {"share": 0.1, "time_constant": rng.uniform(2.0, 10.0)}, ("share",),
-        lambda j: 8.5, _set(lambda p: {C.WARM: p["share"], C.WARM_TIME: p["time_constant"]}),
-        ("repeat", "wide", "bang"), "drift"),
+        lambda rng, j: {"share": 0.1, "time_constant": rng.uniform(2.0, 10.0)},
+        ("share",),
+        lambda j: 8.5,
+        _set(lambda p: {C.WARM: p["share"], C.WARM_TIME: p["time_constant"]}),
+        ("repeat", "wide", "bang"),
+        "drift",
+    ),
     "voltage_saturation": Effect(
         # strength shrinks the limit, from the greatest voltage of the run downwards
-        lambda rng, j: {"voltage": 30.0, "share": 0.01}, ("share",), lambda j: 30.0,
-        _set(lambda p: {C.SATURATION: p["voltage"]}), ("bang", "points", "wide"), "amplifier",
-        open_loop=False),
+        lambda rng, j: {"voltage": 30.0, "share": 0.01},
+        ("share",),
+        lambda j: 30.0,
+        _set(lambda p: {C.SATURATION: p["voltage"]}),
+        ("bang", "points", "wide"),
+        "amplifier",
+        open_loop=False,
+    ),
     "current_limit": Effect(
-        lambda rng, j: {"current": 15.0, "share": 0.01}, ("share",), lambda j: 30.0,
-        _set(lambda p: {C.LIMIT: p["current"]}), ("bang", "points"), "amplifier",
-        open_loop=False),
+        lambda rng, j: {"current": 15.0, "share": 0.01},
+        ("share",),
+        lambda j: 30.0,
+        _set(lambda p: {C.LIMIT: p["current"]}),
+        ("bang", "points"),
+        "amplifier",
+        open_loop=False,
+    ),
     "voltage_dead_band": Effect(
-        lambda rng, j: {"voltage": 0.06}, ("voltage",), lambda j: 1.2 / 0.06,
-        _set(lambda p: {C.DEAD_BAND: p["voltage"]}), ("fourier", "points", "triangles"),
-        "amplifier"),
+        lambda rng, j: {"voltage": 0.06},
+        ("voltage",),
+        lambda j: 1.2 / 0.06,
+        _set(lambda p: {C.DEAD_BAND: p["voltage"]}),
+        ("fourier", "points", "triangles"),
+        "amplifier",
+    ),
     "voltage_offset": Effect(
-        lambda rng, j: {"voltage": 0.06 * rng.choice([-1.0, 1.0])}, ("voltage",),
-        lambda j: 0.6 / 0.06, _set(lambda p: {C.OFFSET: p["voltage"]}),
-        ("fourier", "wide", "points"), "offset"),
+        lambda rng, j: {"voltage": 0.06 * rng.choice([-1.0, 1.0])},
+        ("voltage",),
+        lambda j: 0.6 / 0.06,
+        _set(lambda p: {C.OFFSET: p["voltage"]}),
+        ("fourier", "wide", "points"),
+        "offset",
+    ),
     "input_delay": Effect(
-        lambda rng, j: {"time": 1e-3}, ("time",), lambda j: 8.0, _put_delay,
-        ("fourier", "bang", "points"), "delay", band=(4.0, 15.0)),
+        lambda rng, j: {"time": 1e-3},
+        ("time",),
+        lambda j: 8.0,
+        _put_delay,
+        ("fourier", "bang", "points"),
+        "delay",
+        band=(4.0, 15.0),
+    ),
     "sensor_lag": Effect(
-        lambda rng, j: {"time_constant": 1e-3}, ("time_constant",), lambda j: 32.0,
-        _set(lambda p: {C.SENSOR_LAG: p["time_constant"]}), ("fourier", "bang", "points"),
-        "delay", band=(3.0, 14.0)),
+        lambda rng, j: {"time_constant": 1e-3},
+        ("time_constant",),
+        lambda j: 32.0,
+        _set(lambda p: {C.SENSOR_LAG: p["time_constant"]}),
+        ("fourier", "bang", "points"),
+        "delay",
+        band=(3.0, 14.0),
+    ),
     "encoder_offset": Effect(
-        lambda rng, j: {"angle": 2e-3 * rng.choice([-1.0, 1.0])}, ("angle",), lambda j: 30.0,
-        _set(lambda p: {C.ENCODER: p["angle"]}), ("wide", "fourier"), "sensor", joints=(1, 2)),
+        lambda rng, j: {"angle": 2e-3 * rng.choice([-1.0, 1.0])},
+        ("angle",),
+        lambda j: 30.0,
+        _set(lambda p: {C.ENCODER: p["angle"]}),
+        ("wide", "fourier"),
+        "sensor",
+        joints=(1, 2),
+    ),
     "sensor_nonlinearity": Effect(
-        lambda rng, j: {"amplitude": 1e-3, "period": rng.uniform(0.25, 1.6),
-                        "phase": rng.uniform(-np.pi, np.pi)},
-        ("amplitude",), lambda j: 12.0, _set(
-            lambda p: {C.NONLINEAR: p["amplitude"], C.NONLINEAR_PERIOD: p["period"],
-                       C.NONLINEAR_PHASE: p["phase"]}),
-        ("wide", "fourier", "points"), "sensor"),
+        lambda rng, j: {"amplitude": 1e-3, "period": rng.uniform(0.25, 1.6), "phase": rng.uniform(-np.pi, np.pi)},
+        ("amplitude",),
+        lambda j: 12.0,
+        _set(lambda p: {C.NONLINEAR: p["amplitude"], C.NONLINEAR_PERIOD: p["period"], C.NONLINEAR_PHASE: p["phase"]}),
+        ("wide", "fourier", "points"),
+        "sensor",
+    ),
     "supply_droop": Effect(
-        lambda rng, j: {"coefficient": 2e-3}, ("coefficient",), lambda j: 7.0, _put_droop,
-        ("bang", "points", "fourier"), "amplifier"),
+        lambda rng, j: {"coefficient": 2e-3},
+        ("coefficient",),
+        lambda j: 7.0,
+        _put_droop,
+        ("bang", "points", "fourier"),
+        "amplifier",
+    ),
     "impulse": Effect(
-        lambda rng, j: {"torque": 30.0 * rng.choice([-1.0, 1.0]) / 5.0, "time": rng.uniform(
-            0.2, 0.8), "width": rng.uniform(0.03, 0.10)},
-        ("torque",), lambda j: 25.0, _set(
-            lambda p: {C.PUSH: p["torque"], C.PUSH_TIME: p["time"], C.PUSH_WIDTH: p["width"]}),
-        ("fourier", "points", "triangles"), "impulse"),
+        lambda rng, j: {
+            "torque": 30.0 * rng.choice([-1.0, 1.0]) / 5.0,
+            "time": rng.uniform(0.2, 0.8),
+            "width": rng.uniform(0.03, 0.10),
+        },
+        ("torque",),
+        lambda j: 25.0,
+        _set(lambda p: {C.PUSH: p["torque"], C.PUSH_TIME: p["time"], C.PUSH_WIDTH: p["width"]}),
+        ("fourier", "points", "triangles"),
+        "impulse",
+    ),
 }
 
 #: the most common ones, for a first look
-COMMON = ("coulomb_friction", "asymmetric_coulomb_friction", "stribeck_friction",
-          "quadratic_friction", "torque_ripple", "joint_elasticity", "joint_spring", "payload",
-          "voltage_dead_band", "voltage_offset")
+COMMON = (
+    "coulomb_friction",
+    "asymmetric_coulomb_friction",
+    "stribeck_friction",
+    "quadratic_friction",
+    "torque_ripple",
+    "joint_elasticity",
+    "joint_spring",
+    "payload",
+    "voltage_dead_band",
+    "voltage_offset",
+)
 
 
 def derived(name: str, parameters: dict, peak: dict, seconds: float) -> dict:

@@ -42,7 +42,7 @@ def _joint(rng) -> str:
 def _gap(log, rng):
     n = len(log["time"])
     at, missing = _middle(rng, n), max(3, int(n * rng.uniform(0.04, 0.12)))
-    kept = np.r_[0:at, at + missing:n]
+    kept = np.r_[0:at, at + missing : n]
     return {name: x[kept] for name, x in log.items()}, _fault("time", at + 1, "gap")
 
 
@@ -51,9 +51,9 @@ def _dropped(log, rng):
     n = len(log["time"])
     at = _moving(rng, log["position1"])
     missing = max(4, n // 40)
-    kept = np.r_[0:at, at + missing:n]
+    kept = np.r_[0:at, at + missing : n]
     out = {name: x[kept] for name, x in log.items()}
-    out["time"] = log["time"][:len(kept)]
+    out["time"] = log["time"][: len(kept)]
     return out, _fault("position1", at + 1, "dropped samples")
 
 
@@ -86,7 +86,7 @@ def _nan(log, rng):
     channel = str(rng.choice(["voltage", "position"])) + _joint(rng)
     at = _middle(rng, len(log["time"]))
     x = log[channel].copy()
-    x[at:at + int(rng.integers(1, 6))] = np.nan
+    x[at : at + int(rng.integers(1, 6))] = np.nan
     return dict(log, **{channel: x}), _fault(channel, at + 1, "not a number")
 
 
@@ -103,15 +103,18 @@ def _frozen_voltage(log, rng):
     channel = "voltage" + _joint(rng)
     x = log[channel].copy()
     at = _moving(rng, x)
-    x[at:at + len(x) // 3] = x[at - 1]
+    x[at : at + len(x) // 3] = x[at - 1]
     return dict(log, **{channel: x}), _fault(channel, at + 1, "frozen")
 
 
 def _swapped(kind: str) -> Callable:
     def spoil(log, rng):
         a, b = (f"{kind}{j + 1}" for j in sorted(rng.choice(3, 2, replace=False)))
-        return (dict(log, **{a: log[b], b: log[a]}),
-                _fault(a, None, f"swapped with {b}") + _fault(b, None, f"swapped with {a}"))
+        return (
+            dict(log, **{a: log[b], b: log[a]}),
+            _fault(a, None, f"swapped with {b}") + _fault(b, None, f"swapped with {a}"),
+        )
+
     return spoil
 
 
@@ -119,6 +122,7 @@ def _all(kind: str, what: str, change: Callable) -> Callable:
     def spoil(log, rng):
         channel = kind + _joint(rng)
         return (dict(log, **{channel: change(log[channel], rng)}), _fault(channel, None, what))
+
     return spoil
 
 
@@ -190,8 +194,7 @@ _SPOIL: dict[str, Callable] = {
     "flipped_voltage": _all("voltage", "sign flipped", lambda x, rng: -x),
     "degrees": _all("position", "degrees for radians", lambda x, rng: np.rad2deg(x)),
     "millivolts": _all("voltage", "millivolts for volts", lambda x, rng: 1000.0 * x),
-    "wrong_gear_ratio": _all("position", "wrong gear ratio",
-                             lambda x, rng: x * rng.choice([0.5, 0.7, 1.4, 2.0])),
+    "wrong_gear_ratio": _all("position", "wrong gear ratio", lambda x, rng: x * rng.choice([0.5, 0.7, 1.4, 2.0])),
     "joint_offset": _joint_offset,
     "bad_sample": _spike,
     "jump": _jump,
@@ -211,19 +214,19 @@ def spoil(kind: str, log: Log, rng: np.random.Generator) -> tuple[Log, Found]:
     return made(dict(log), rng) if made else (log, [])
 
 
-def spoil_text(kind: str, lines: list[str], rng: np.random.Generator
-               ) -> tuple[list[str], Found]:
+def spoil_text(kind: str, lines: list[str], rng: np.random.Generator) -> tuple[list[str], Found]:
     """Lines of the file, the header first, with a fault that no array can have."""
     if kind == "text":
         row = _middle(rng, len(lines))
         column = int(rng.integers(1, 7))
         cells = lines[row].split(",")
         cells[column] = str(rng.choice(["ERR", "--", "#VALUE!"]))
-        return ([*lines[:row], ",".join(cells), *lines[row + 1:]],
-                _fault(lines[0].split(",")[column], row, "not a number"))
+        return (
+            [*lines[:row], ",".join(cells), *lines[row + 1 :]],
+            _fault(lines[0].split(",")[column], row, "not a number"),
+        )
     if kind == "truncated":
         row = _middle(rng, len(lines))
         cells = lines[row].split(",")[:4]
-        return [*lines[:row], ",".join(cells)], _fault(
-            lines[0].split(",")[4], row, "file ends inside a line")
+        return [*lines[:row], ",".join(cells)], _fault(lines[0].split(",")[4], row, "file ends inside a line")
     return lines, []

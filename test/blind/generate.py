@@ -9,13 +9,13 @@ the same bytes.
 from __future__ import annotations
 
 import argparse
+import json
+import sys
+import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from functools import partial
-import json
 from pathlib import Path
-import sys
-import time
 
 import numpy as np
 
@@ -24,10 +24,11 @@ if __name__ == "__main__" and not __package__:
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
     __package__ = "blind"
 
-from . import arm_parameters as arm, faults, motions, outside, records  # noqa: E402
-from .drives import Controller, Run, Sampling, simulate  # noqa: E402
-from .effects import EFFECTS, NO_STOP, Plant, derived, scaled  # noqa: E402
-from .size import Sizes, measure  # noqa: E402
+from . import arm_parameters as arm
+from . import faults, motions, outside, records
+from .drives import Controller, Run, Sampling, simulate
+from .effects import EFFECTS, NO_STOP, Plant, derived, scaled
+from .size import Sizes, measure
 
 #: how near (in ratio) the size of a record comes to what was asked for
 _NEAR = 1.2
@@ -42,11 +43,9 @@ class Rig:
         rng = np.random.default_rng([motion_seed, 3])
         self.sampling = Sampling(recipe.period)
         self.samples = round(recipe.seconds / recipe.period)
-        named = [joint for _, joint in recipe.effects] + (
-            [recipe.outside[1]] if recipe.outside else [])
+        named = [joint for _, joint in recipe.effects] + ([recipe.outside[1]] if recipe.outside else [])
         joint = named[0] if named else None
-        self.motion = recipe.motion or str(rng.choice(
-            ["fourier", "wide", "points", "triangles", "bang", "repeat"]))
+        self.motion = recipe.motion or str(rng.choice(["fourier", "wide", "points", "triangles", "bang", "repeat"]))
         if not recipe.feedback and self.motion in ("crawl", "micro", "triangles", "constant"):
             self.motion = "fourier"
         rows = np.arange(self.samples * self.sampling.rows + 1) * self.sampling.row
@@ -55,8 +54,7 @@ class Rig:
         noise_rng = np.random.default_rng([motion_seed, 4])
         self.volts = round(0.05 * noise_rng.uniform(0.8, 1.25), 4)
         self.torque = round(0.15 * noise_rng.uniform(0.8, 1.25), 4)
-        self.correlation = round(float(10**noise_rng.uniform(0.7, 1.7)), 2) \
-            if recipe.coloured else 0.0
+        self.correlation = round(float(10 ** noise_rng.uniform(0.7, 1.7)), 2) if recipe.coloured else 0.0
         self.noise = self._noise(noise_rng, self.volts)
         self.torque_noise = self._noise(noise_rng, self.torque)
 
@@ -71,8 +69,7 @@ class Rig:
         kd = np.round(kp * rng.uniform(0.0, 0.01, 3), 3) * (rng.random() < 0.4)
         rate = np.gradient(fine, step, axis=0)
         forward = rng.random() < 0.5
-        band = next((EFFECTS[name].band for name, _ in self.recipe.effects
-                     if EFFECTS[name].band), None)
+        band = next((EFFECTS[name].band for name, _ in self.recipe.effects if EFFECTS[name].band), None)
         low, high = band or (1.0, 8.0)
         time = np.arange(n) * self.sampling.period
         waves = motions.dither(rng, time, np.ones(3), (low, min(high, 0.43 / time[1])))
@@ -92,7 +89,7 @@ class Rig:
                 self.dithered = "voltage"
         else:
             wanted = arm.voltage(fine, rate, np.gradient(rate, step, axis=0), step, start)
-            feed += wanted[:n * each].reshape(n, each, 3).mean(axis=1)
+            feed += wanted[: n * each].reshape(n, each, 3).mean(axis=1)
             kp, ki, kd = np.zeros((3, 3))
             if self.recipe.dither:
                 feed += waves * strength
@@ -108,16 +105,27 @@ class Rig:
         return np.round(deviation * white, 9)
 
     def run(self, plant: Plant) -> Run:
-        return simulate(self.parameters, plant.mechanics, plant.table, plant.droop, plant.delay,
-                        self.controller, self.sampling, self.noise, self.torque_noise)
+        return simulate(
+            self.parameters,
+            plant.mechanics,
+            plant.table,
+            plant.droop,
+            plant.delay,
+            self.controller,
+            self.sampling,
+            self.noise,
+            self.torque_noise,
+        )
 
     def sizes(self, run: Run) -> Sizes:
         return measure(run, self.parameters, self.sampling, self.noise, self.torque_noise)
 
     def in_range(self, run: Run) -> bool:
-        return bool(np.isfinite(run.motion).all()
-                    and (run.motion > arm.RANGES[:, 0] + 0.02).all()
-                    and (run.motion < arm.RANGES[:, 1] - 0.02).all())
+        return bool(
+            np.isfinite(run.motion).all()
+            and (run.motion > arm.RANGES[:, 0] + 0.02).all()
+            and (run.motion < arm.RANGES[:, 1] - 0.02).all()
+        )
 
 
 def make(recipe: records.Recipe, folder, check: bool = False) -> tuple[Path, dict]:
@@ -180,7 +188,7 @@ def _scaled_effects(recipe, rig):
 
         least, top, start = effect.least, effect.most(joint), effect.start
         if effect.free:
-            least = top = start = float(10**rng.uniform(*effect.free))
+            least = top = start = float(10 ** rng.uniform(*effect.free))
         placed.append((name, joint, *_search(size_of, joint, target, start, least, top)))
     outsider = None
     if recipe.outside:
@@ -192,8 +200,7 @@ def _scaled_effects(recipe, rig):
             values = tuple(float(f"{x:.6g}") for x in (drawn[0] * strength, *drawn[1:]))
             return values, rig.sizes(rig.run(_plant([], (name, joint, values))))
 
-        outsider = (name, joint, *_search(outsider_of, joint, recipe.sizes[0], made.start, 0.0,
-                                          made.most))
+        outsider = (name, joint, *_search(outsider_of, joint, recipe.sizes[0], made.start, 0.0, made.most))
     return placed, outsider
 
 
@@ -207,8 +214,11 @@ def _search(size_of, joint, target, strength, least, top):
         distance = abs(np.log(size / target))
         if best is None or distance < best[0]:
             best = (distance, parameters, size, sizes)
-        if (distance < np.log(_NEAR) or (size < target and strength >= 0.999 * top)
-                or (size > target and strength <= 1.001 * least)):
+        if (
+            distance < np.log(_NEAR)
+            or (size < target and strength >= 0.999 * top)
+            or (size > target and strength <= 1.001 * least)
+        ):
             break
         if size < target:
             below = (strength, size)
@@ -218,7 +228,7 @@ def _search(size_of, joint, target, strength, least, top):
             # sizes may jump: between two that enclose the target, a power law
             share = np.log(target / below[1]) / np.log(above[1] / below[1])
             share = float(np.clip(share, 0.15, 0.85))
-            strength = below[0] * (above[0] / below[0])**share
+            strength = below[0] * (above[0] / below[0]) ** share
         else:
             strength *= float(np.clip(target / size, 0.05, 12.0))
     _, parameters, size, sizes = best
@@ -238,42 +248,61 @@ def _peaks(rig: Rig) -> list[dict]:
     run, p, step = rig.run(Plant()), rig.parameters, rig.sampling.row
     q = run.motion
     rate = np.gradient(q, step, axis=0)
-    current = (arm.motor_torque(q, rate, np.gradient(rate, step, axis=0), p)
-               / (p["kt"] * arm.GEAR))[10:-10]
-    return [{"low": float(q[:, j].min()), "high": float(q[:, j].max()),
-             "voltage": float(np.abs(run.commanded[:, j]).max()),
-             "current": float(np.abs(current[:, j]).max())} for j in range(3)]
+    current = (arm.motor_torque(q, rate, np.gradient(rate, step, axis=0), p) / (p["kt"] * arm.GEAR))[10:-10]
+    return [
+        {
+            "low": float(q[:, j].min()),
+            "high": float(q[:, j].max()),
+            "voltage": float(np.abs(run.commanded[:, j]).max()),
+            "current": float(np.abs(current[:, j]).max()),
+        }
+        for j in range(3)
+    ]
 
 
 def _answer(recipe, rig, placed, outsider, sizes: Sizes) -> dict:
     def rounded(x):
         return [float(f"{value:.4g}") for value in x]
 
-    effects = [{"name": name, "joint": None if joint is None else joint + 1,
-                "parameters": {key: value for key, value in parameters.items()
-                               if key not in ("lower", "upper") or abs(value) != NO_STOP},
-                "size": float(f"{size:.4g}"), "distinct_size": float(f"{distinct:.4g}"),
-                "size_with_priors": float(f"{strained:.4g}")}
-               for name, joint, parameters, size, distinct, strained in placed]
+    effects = [
+        {
+            "name": name,
+            "joint": None if joint is None else joint + 1,
+            "parameters": {
+                key: value
+                for key, value in parameters.items()
+                if key not in ("lower", "upper") or abs(value) != NO_STOP
+            },
+            "size": float(f"{size:.4g}"),
+            "distinct_size": float(f"{distinct:.4g}"),
+            "size_with_priors": float(f"{strained:.4g}"),
+        }
+        for name, joint, parameters, size, distinct, strained in placed
+    ]
     answer = {"effects": effects, "size": None, "outside": None, "faults": []}
     if effects:
         answer["size"] = max(effect["size"] for effect in effects)
     if outsider:
         name, joint, values, size, *_ = outsider
         axes = outside.OUTSIDE[name].axes(values)
-        answer["outside"] = {"what": name, "joint": joint + 1, "axis": axes[0],
-                             "also": axes[1:], "values": values}
+        answer["outside"] = {"what": name, "joint": joint + 1, "axis": axes[0], "also": axes[1:], "values": values}
         if name == "shake_in_time":
             answer["outside"]["line_hz"] = values[1]
         answer["size"] = float(f"{size:.4g}")
     answer.update(
-        recipe=asdict(recipe), seed=recipe.seed, sampling_ms=round(1000 * recipe.period, 4),
-        seconds=recipe.seconds, feedback=recipe.feedback, dither=rig.dithered,
-        motion=rig.motion, correlation_ms=rig.correlation,
+        recipe=asdict(recipe),
+        seed=recipe.seed,
+        sampling_ms=round(1000 * recipe.period, 4),
+        seconds=recipe.seconds,
+        feedback=recipe.feedback,
+        dither=rig.dithered,
+        motion=rig.motion,
+        correlation_ms=rig.correlation,
         noise={"voltage": rig.volts, "torque": rig.torque, "floor": rounded(sizes.floor)},
         truth={"raw_rms": rounded(sizes.raw), "kept_rms": rounded(sizes.voltage)},
         parameters={name: value.tolist() for name, value in rig.parameters.items()},
-        gains={key: getattr(rig.controller, key).tolist() for key in ("kp", "ki", "kd")})
+        gains={key: getattr(rig.controller, key).tolist() for key in ("kp", "ki", "kd")},
+    )
     return answer
 
 
@@ -290,8 +319,7 @@ def _write(path: Path, recipe, rig: Rig, run: Run, fault: str | None) -> list[di
     if fault:
         log, found = faults.spoil(fault, log, np.random.default_rng([recipe.seed, 6]))
     digits = {"time": 7, "voltage": 4, "position": 6, "setpoint": 5}
-    columns = [[_number(x, digits[name.rstrip("123")]) for x in values]
-               for name, values in log.items()]
+    columns = [[_number(x, digits[name.rstrip("123")]) for x in values] for name, values in log.items()]
     lines = [",".join(log)] + [",".join(row) for row in zip(*columns)]
     if fault:
         lines, more = faults.spoil_text(fault, lines, np.random.default_rng([recipe.seed, 7]))
@@ -340,8 +368,10 @@ def main(arguments=None) -> int:
         recipes += records.plan(kind, given.seed + len(recipes), count)
     seconds = make_all(recipes, given.out, given.check, given.processes)
     mean = sum(seconds.values()) / max(1, len(seconds))
-    print(f"{len(seconds)} records in {given.out}, {mean:.2f} s each on average, "
-          f"{max(seconds.values(), default=0.0):.2f} s at most")
+    print(
+        f"{len(seconds)} records in {given.out}, {mean:.2f} s each on average, "
+        f"{max(seconds.values(), default=0.0):.2f} s at most"
+    )
     return 0
 
 

@@ -15,12 +15,10 @@ _CENTRE = ((-0.6, 0.6), (-1.9, -0.5), (0.5, 2.0))
 _REACH = (1.2, 0.75, 0.9)
 _MARGIN = 0.12
 
-KINDS = ("fourier", "wide", "points", "triangles", "crawl", "micro", "bang", "constant", "repeat",
-         "vertical")
+KINDS = ("fourier", "wide", "points", "triangles", "crawl", "micro", "bang", "constant", "repeat", "vertical")
 
 
-def reference(kind: str, rng: np.random.Generator, time: np.ndarray,
-              joint: int | None = None) -> np.ndarray:
+def reference(kind: str, rng: np.random.Generator, time: np.ndarray, joint: int | None = None) -> np.ndarray:
     """Positions (n, 3) [rad] at the times (n,), about 1 ms apart.
 
     joint : (0-based) whose motion matters most; where `kind` is a slow one, the others move in a
@@ -67,12 +65,12 @@ def _fourier(rng, time, j, lowest=1, highest=9, reach=1.0, speed=(0.45, 1.0)):
     orders = rng.choice(np.arange(lowest, highest), size=min(4, highest - lowest), replace=False)
     q = np.zeros_like(time)
     for order in orders:
-        q += rng.uniform(0.4, 1.0) / order * np.sin(base * order * time
-                                                    + rng.uniform(0.0, 2.0 * np.pi))
+        q += rng.uniform(0.4, 1.0) / order * np.sin(base * order * time + rng.uniform(0.0, 2.0 * np.pi))
     q -= q[0]
-    q *= np.clip(time / 0.8, 0.0, 1.0)**2 * (3.0 - 2.0 * np.clip(time / 0.8, 0.0, 1.0))
-    scale = min(rng.uniform(*speed) * TOP_SPEED[j] / np.abs(np.gradient(q, time[1])).max(),
-                2.0 * reach * _REACH[j] / np.ptp(q))
+    q *= np.clip(time / 0.8, 0.0, 1.0) ** 2 * (3.0 - 2.0 * np.clip(time / 0.8, 0.0, 1.0))
+    scale = min(
+        rng.uniform(*speed) * TOP_SPEED[j] / np.abs(np.gradient(q, time[1])).max(), 2.0 * reach * _REACH[j] / np.ptp(q)
+    )
     q *= scale
     return _centre(rng, j) + q - 0.5 * (q.max() + q.min())
 
@@ -94,9 +92,15 @@ def _moves(time, corners, speeds, accelerations, rests):
         v = min(v, np.sqrt(size * a))
         ramp, cruise = v / a, size / v - v / a
         x = time - at
-        done = np.where(x < ramp, 0.5 * a * np.clip(x, 0.0, None)**2,
-                        np.where(x < ramp + cruise, 0.5 * v * ramp + v * (x - ramp),
-                                 size - 0.5 * a * np.clip(2 * ramp + cruise - x, 0.0, None)**2))
+        done = np.where(
+            x < ramp,
+            0.5 * a * np.clip(x, 0.0, None) ** 2,
+            np.where(
+                x < ramp + cruise,
+                0.5 * v * ramp + v * (x - ramp),
+                size - 0.5 * a * np.clip(2 * ramp + cruise - x, 0.0, None) ** 2,
+            ),
+        )
         q = np.where(x > 0.0, corners[k - 1] + np.sign(distance) * done, q)
         at += 2 * ramp + cruise + rests[k]
         if at > time[-1]:
@@ -107,18 +111,26 @@ def _moves(time, corners, speeds, accelerations, rests):
 def _points(rng, time, j):
     count = 40
     corners = _centre(rng, j) + _REACH[j] * rng.uniform(-1.0, 1.0, count)
-    return _moves(time, corners, TOP_SPEED[j] * rng.uniform(0.3, 1.0, count),
-                  TOP_ACCELERATION[j] * rng.uniform(0.5, 1.0, count),
-                  rng.uniform(0.05, 0.5, count))
+    return _moves(
+        time,
+        corners,
+        TOP_SPEED[j] * rng.uniform(0.3, 1.0, count),
+        TOP_ACCELERATION[j] * rng.uniform(0.5, 1.0, count),
+        rng.uniform(0.05, 0.5, count),
+    )
 
 
 def _repeat(rng, time, j):
     """The same few moves over and over, with holds."""
     few = _centre(rng, j) + _REACH[j] * rng.uniform(-1.0, 1.0, 3)
     corners = np.tile(few, 15)
-    return _moves(time, corners, np.full(45, TOP_SPEED[j] * rng.uniform(0.6, 1.0)),
-                  np.full(45, TOP_ACCELERATION[j] * rng.uniform(0.5, 1.0)),
-                  np.tile(rng.uniform(0.05, 0.4, 3), 15))
+    return _moves(
+        time,
+        corners,
+        np.full(45, TOP_SPEED[j] * rng.uniform(0.6, 1.0)),
+        np.full(45, TOP_ACCELERATION[j] * rng.uniform(0.5, 1.0)),
+        np.tile(rng.uniform(0.05, 0.4, 3), 15),
+    )
 
 
 def _zigzag(rng, time, j, speeds, half_periods):
@@ -129,8 +141,7 @@ def _zigzag(rng, time, j, speeds, half_periods):
     # no drift away: each turn back aims a little at the middle
     for k in range(1, count + 1):
         corners[k] = 0.8 * corners[k - 1] + steps[k - 1] if k > 1 else 0.5 * steps[0]
-    return _centre(rng, j) + _moves(time, corners, v, np.full(count, TOP_ACCELERATION[j]),
-                                    np.zeros(count + 1))
+    return _centre(rng, j) + _moves(time, corners, v, np.full(count, TOP_ACCELERATION[j]), np.zeros(count + 1))
 
 
 def _triangles(rng, time, j):
@@ -158,22 +169,30 @@ def _bang(rng, time, j):
     count = 60
     size = rng.uniform(0.15, 0.6, count) * _REACH[j]
     corners = _centre(rng, j) + size * np.where(np.arange(count) % 2 == 0, 0.5, -0.5)
-    return _moves(time, corners, np.full(count, TOP_SPEED[j]),
-                  TOP_ACCELERATION[j] * rng.uniform(0.7, 1.2, count), np.zeros(count))
+    return _moves(
+        time, corners, np.full(count, TOP_SPEED[j]), TOP_ACCELERATION[j] * rng.uniform(0.7, 1.2, count), np.zeros(count)
+    )
 
 
 def _vertical(rng, time, j):
     """About the poses in which gravity changes the side of the teeth."""
-    centre = (rng.uniform(-0.5, 0.5), -np.pi / 2 + rng.uniform(-0.1, 0.15),
-              rng.uniform(-0.1, 0.1) - 0.05)[j]
-    q = _fourier(rng, time, j, 2, 12, 0.5, (0.5, 0.9)) if rng.random() < 0.5 \
-        else _bang(rng, time, j)
+    centre = (rng.uniform(-0.5, 0.5), -np.pi / 2 + rng.uniform(-0.1, 0.15), rng.uniform(-0.1, 0.1) - 0.05)[j]
+    q = _fourier(rng, time, j, 2, 12, 0.5, (0.5, 0.9)) if rng.random() < 0.5 else _bang(rng, time, j)
     return centre + q - 0.5 * (q.max() + q.min())
 
 
-_ONE = {"fourier": _fourier, "wide": _wide, "points": _points, "triangles": _triangles,
-        "crawl": _crawl, "micro": _micro, "bang": _bang, "constant": _constant,
-        "repeat": _repeat, "vertical": _vertical}
+_ONE = {
+    "fourier": _fourier,
+    "wide": _wide,
+    "points": _points,
+    "triangles": _triangles,
+    "crawl": _crawl,
+    "micro": _micro,
+    "bang": _bang,
+    "constant": _constant,
+    "repeat": _repeat,
+    "vertical": _vertical,
+}
 
 
 def dither(rng: np.random.Generator, time: np.ndarray, amplitude, band=(1.0, 8.0)):

@@ -12,7 +12,6 @@ from .effects import COMMON, EFFECTS, WHOLE_ARM
 from .faults import FAULTS
 from .outside import OUTSIDE
 
-
 #: a pair that on one joint is a single effect to any log: a spring about another angle
 ONE_ANGLE = {"joint_spring", "voltage_offset"}
 #: servo period [s] of the arm: 28 ms over 30
@@ -59,17 +58,20 @@ def plan(kind: str, seed: int, count: int, turn: int = 0) -> list[Recipe]:
 def _recipe(kind: str, seed: int, turn: int) -> Recipe:
     rng = np.random.default_rng([seed, 1])
     common = dict(
-        name=f"record_{seed:06d}", seed=seed,
+        name=f"record_{seed:06d}",
+        seed=seed,
         period=float(rng.choice([SERVO, 1e-3, 5e-3], p=[0.7, 0.15, 0.15])),
-        feedback=bool(rng.random() < 0.75), dither=bool(rng.random() < 0.5),
-        coloured=bool(rng.random() < 0.35), setpoint=bool(rng.random() < 0.75))
+        feedback=bool(rng.random() < 0.75),
+        dither=bool(rng.random() < 0.5),
+        coloured=bool(rng.random() < 0.35),
+        setpoint=bool(rng.random() < 0.75),
+    )
     if kind == "nothing":
         return Recipe(**common)
     if kind in ("common", "effect") or kind in EFFECTS:
         names = {"common": COMMON, "effect": tuple(EFFECTS)}.get(kind, (kind,))
         name = names[turn % len(names)]
-        return Recipe(**_fit(common, rng, name), effects=(_placed(rng, name),),
-                      sizes=(_size(rng),))
+        return Recipe(**_fit(common, rng, name), effects=(_placed(rng, name),), sizes=(_size(rng),))
     if kind == "pair":
         names = tuple(EFFECTS)
         first = names[turn % len(names)]
@@ -82,15 +84,17 @@ def _recipe(kind: str, seed: int, turn: int) -> Recipe:
         if (rng.random() < 0.5 or same) and None not in (placed[0][1], placed[1][1]):
             free = [j for j in EFFECTS[second].joints if j != placed[0][1]]
             placed[1] = (second, int(rng.choice(free)))
-        return Recipe(**_fit(_fit(common, rng, second), rng, first), effects=tuple(placed),
-                      sizes=(_size(rng, 1.5), _size(rng, 1.5)))
+        return Recipe(
+            **_fit(_fit(common, rng, second), rng, first),
+            effects=tuple(placed),
+            sizes=(_size(rng, 1.5), _size(rng, 1.5)),
+        )
     if kind == "outside":
         names = tuple(OUTSIDE)
         name = names[turn % len(names)]
         made = OUTSIDE[name]
         common["motion"] = str(rng.choice(made.motions))
-        return Recipe(**common, outside=(name, int(rng.choice(made.joints))),
-                      sizes=(_size(rng, 1.5),))
+        return Recipe(**common, outside=(name, int(rng.choice(made.joints))), sizes=(_size(rng, 1.5),))
     if kind == "fault":
         return Recipe(**common, fault=FAULTS[turn % len(FAULTS)])
     raise ValueError(f"kind of record {kind!r}: expected one of {KINDS} or the name of an effect")
@@ -104,11 +108,21 @@ def committed() -> list[Recipe]:
         dict(motion="triangles", dither=False, setpoint=True),
         dict(motion="wide", period=SERVO, seconds=4.0),
     ]
-    single = ["coulomb_friction", "stribeck_friction", "quadratic_friction", "torque_ripple",
-              "backlash", "joint_elasticity", "payload", "base_tilt", "voltage_dead_band",
-              "resistance_drift", "input_delay", "sensor_nonlinearity"]
-    pairs = [(("coulomb_friction", 0), ("joint_spring", 2)),
-             (("quadratic_friction", 0), ("voltage_offset", 1))]
+    single = [
+        "coulomb_friction",
+        "stribeck_friction",
+        "quadratic_friction",
+        "torque_ripple",
+        "backlash",
+        "joint_elasticity",
+        "payload",
+        "base_tilt",
+        "voltage_dead_band",
+        "resistance_drift",
+        "input_delay",
+        "sensor_nonlinearity",
+    ]
+    pairs = [(("coulomb_friction", 0), ("joint_spring", 2)), (("quadratic_friction", 0), ("voltage_offset", 1))]
     strange = [("shake_in_time", 1), ("cable_from_another_joint", 2)]
     spoilt = ["gap", "swapped_positions", "degrees", "frozen_position"]
 
@@ -125,9 +139,19 @@ def committed() -> list[Recipe]:
     wanted += [dict(motion="wide", effects=pair, sizes=(5.0, 5.0)) for pair in pairs]
     wanted += [dict(motion="wide", outside=each, sizes=(6.0,)) for each in strange]
     wanted += [dict(motion="points", fault=kind, seconds=4.0) for kind in spoilt]
-    return [Recipe(**{"name": f"record_{1000 + k:06d}", "seed": 1000 + k, "period": 5e-3,
-                      "seconds": 6.0, "setpoint": False, **each})
-            for k, each in enumerate(wanted)]
+    return [
+        Recipe(
+            **{
+                "name": f"record_{1000 + k:06d}",
+                "seed": 1000 + k,
+                "period": 5e-3,
+                "seconds": 6.0,
+                "setpoint": False,
+                **each,
+            }
+        )
+        for k, each in enumerate(wanted)
+    ]
 
 
 def _placed(rng, name: str) -> tuple[str, int | None]:
@@ -136,7 +160,7 @@ def _placed(rng, name: str) -> tuple[str, int | None]:
 
 def _size(rng, low: float = 0.6) -> float:
     """Evenly over the decades from `low` to ten times the floor."""
-    return float(f"{low * (10.0 / low)**rng.random():.3g}")
+    return float(f"{low * (10.0 / low) ** rng.random():.3g}")
 
 
 def _fit(common: dict, rng, name: str) -> dict:

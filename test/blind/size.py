@@ -35,8 +35,7 @@ class Sizes:
     strain: float
 
 
-def measure(run: Run, p: arm.Parameters, sampling: Sampling, noise: np.ndarray,
-            torque_noise: np.ndarray) -> Sizes:
+def measure(run: Run, p: arm.Parameters, sampling: Sampling, noise: np.ndarray, torque_noise: np.ndarray) -> Sizes:
     """Sizes of all that made the run differ from the rigid plant of parameters p."""
     band, step, rows = min(BAND, 0.45 / sampling.period), sampling.row, sampling.rows
     taps = _low_pass(band * step)
@@ -54,8 +53,9 @@ def measure(run: Run, p: arm.Parameters, sampling: Sampling, noise: np.ndarray,
     unknown = np.repeat(noise, rows, axis=0) + pushed
     kept = slice(_EDGE, len(q) - _EDGE, max(1, int(0.25 / band / step)))
     r = _filtered(residual, taps)[kept]
-    floor = np.sqrt((_filtered(unknown, taps)[kept]**2).mean(axis=0)
-                    + _quantisation(run, q, p, sampling, band, k)**2)
+    floor = np.sqrt(
+        (_filtered(unknown, taps)[kept] ** 2).mean(axis=0) + _quantisation(run, q, p, sampling, band, k) ** 2
+    )
     smooth = [_filtered(x, taps)[kept] for x in (q, qd, qdd)]
     spacing = step * kept.step
     columns = _columns(smooth, spacing, p)
@@ -78,13 +78,13 @@ def _low_pass(cycles: float) -> np.ndarray:
 
 def _filtered(x: np.ndarray, taps: np.ndarray) -> np.ndarray:
     half = len(taps) // 2
-    padded = np.vstack([2 * x[0] - x[half:0:-1], x, 2 * x[-1] - x[-2:-half - 2:-1]])
+    padded = np.vstack([2 * x[0] - x[half:0:-1], x, 2 * x[-1] - x[-2 : -half - 2 : -1]])
     return np.stack([np.convolve(padded[:, j], taps, "valid") for j in range(x.shape[1])], axis=1)
 
 
 def _quantisation(run: Run, q, p, sampling: Sampling, band: float, k) -> np.ndarray:
     """Rms voltage (3,) that the error of the logged position makes in the inverse model."""
-    error = run.measured - q[::sampling.rows]
+    error = run.measured - q[:: sampling.rows]
     if not error.any():
         return np.zeros(3)
     f = np.fft.rfftfreq(len(error), sampling.period)
@@ -92,7 +92,7 @@ def _quantisation(run: Run, q, p, sampling: Sampling, band: float, k) -> np.ndar
     mass = arm.inertia(q[::50], p).mean(axis=0).diagonal() + p["Ia"]
     gain = np.outer(s, p["ke"] * arm.GEAR) + np.outer(s**2, k * mass)
     spectrum = np.fft.rfft(error - error.mean(axis=0), axis=0) * gain * (f <= band)[:, None]
-    return np.sqrt((np.fft.irfft(spectrum, len(error), axis=0)**2).mean(axis=0))
+    return np.sqrt((np.fft.irfft(spectrum, len(error), axis=0) ** 2).mean(axis=0))
 
 
 def _columns(smooth, spacing: float, p: arm.Parameters) -> list[np.ndarray]:

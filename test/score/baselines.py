@@ -39,9 +39,13 @@ def _bank(bench) -> Bank:
     signals = replace(p.signals(theta), residual=p.full_residual(theta))
     bank = Bank(p.sampled.joints)
     for name, kind in bench.library.items():
-        for j in ([None] if not kind.per_joint else range(p.sampled.joints)):
-            bank.add(name, None if j is None else j + 1, kind.screening.candidates(signals, j),
-                     lambda c: p.reduce(c, signals))
+        for j in [None] if not kind.per_joint else range(p.sampled.joints):
+            bank.add(
+                name,
+                None if j is None else j + 1,
+                kind.screening.candidates(signals, j),
+                lambda c: p.reduce(c, signals),
+            )
     bank.freeze()
     return bank
 
@@ -68,8 +72,7 @@ def _all_at_once(bench, bank: Bank) -> dict:
     system = _System(bench, bank)
     chosen: dict[int, tuple] = {}
     for entry in bank.entries:
-        gain = system.drop(np.arange(entry.columns.start, entry.columns.stop),
-                           system.whitened.gram(entry))
+        gain = system.drop(np.arange(entry.columns.start, entry.columns.stop), system.whitened.gram(entry))
         if entry.hypothesis not in chosen or gain > chosen[entry.hypothesis][0]:
             chosen[entry.hypothesis] = gain, entry
     entries = [entry for _, entry in chosen.values()]
@@ -97,7 +100,7 @@ def _all_at_once(bench, bank: Bank) -> dict:
     found.sort(key=lambda row: row[0])
     step = system.base.scaled - system.whitened.ANX[:, columns] @ coefficients
     m = bench.mechanism
-    theta = m.clip(m.start + (step * system.base.deviation)[:len(m.start)])
+    theta = m.clip(m.start + (step * system.base.deviation)[: len(m.start)])
     return _outcome(bench, bank, theta, [(entry, value) for _, entry, value in found])
 
 
@@ -111,7 +114,8 @@ def _forward(bench, bank: Bank) -> dict:
             if entry.hypothesis in taken:
                 continue
             left = system.base.yPy - system.drop(
-                np.arange(entry.columns.start, entry.columns.stop), system.whitened.gram(entry))
+                np.arange(entry.columns.start, entry.columns.stop), system.whitened.gram(entry)
+            )
             width = entry.columns.stop - entry.columns.start
             change = rows * np.log(max(left, 1e-12) / system.base.yPy) + width * np.log(rows)
             if best is None or change < best[0]:
@@ -129,8 +133,7 @@ def _chosen(bench, bank: Bank, entry):
     """An entry as part of the model, with no prior to speak of."""
     name, joint = bank.hypotheses[entry.hypothesis]
     c = entry.candidate
-    free = replace(entry, candidate=replace(c, mean=np.zeros(len(c.mean)),
-                                            deviation=_WIDE * np.asarray(c.deviation)))
+    free = replace(entry, candidate=replace(c, mean=np.zeros(len(c.mean)), deviation=_WIDE * np.asarray(c.deviation)))
     scored = Scored(name, joint, 0.0, 0.0, free, None, None, None)
     return bench.search.choose(scored, bank)
 
@@ -151,5 +154,7 @@ def _outcome(bench, bank: Bank, theta, found) -> dict:
         except (Illegal, PumaSimError):
             continue
         effects = more
-    return {"names": [bank.hypotheses[entry.hypothesis] for entry, _ in found],
-            "position_rms": bench.position_rms(theta, effects)}
+    return {
+        "names": [bank.hypotheses[entry.hypothesis] for entry, _ in found],
+        "position_rms": bench.position_rms(theta, effects),
+    }

@@ -6,12 +6,13 @@ from __future__ import annotations
 
 import gc
 import hashlib
-from pathlib import Path
 import resource
 import time
 import traceback
+from pathlib import Path
 
 from blind import generate
+
 from puma_sim_core.errors import PumaSimError
 from puma_sim_core.loop import explain
 from puma_sim_core.loop.report_json import report_mapping
@@ -36,8 +37,15 @@ def work(recipe, folder, small: bool = True) -> dict:
     """
     path, answer = generate.make(recipe, folder)
     answer.pop("seconds_to_make")
-    outcome = {"record": path.stem, "answer": answer, "report": None, "error": None,
-               "crash": None, "skipped": False, "seconds": None}
+    outcome = {
+        "record": path.stem,
+        "answer": answer,
+        "report": None,
+        "error": None,
+        "crash": None,
+        "skipped": False,
+        "seconds": None,
+    }
     try:
         if not small and min((e["size"] for e in answer["effects"]), default=1.0) < LEAST_SIZE:
             return {**outcome, "skipped": True}
@@ -84,7 +92,9 @@ def _short(report: dict) -> dict:
 def fingerprint() -> str:
     """Digest of all code that an outcome depends on: outcomes of other code are not reused."""
     import blind
+
     import puma_sim_core
+
     digest = hashlib.sha256()
     for module in (puma_sim_core, blind):
         root = Path(module.__file__).parent

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import numpy as np
-
 from blind import records
 from blind.records import Recipe
 
@@ -26,11 +25,12 @@ def check_seeds(seed: int, count: int, development: bool) -> None:
     """Raise `SeedError` unless the seeds seed..seed + count - 1 are all of the batch's set."""
     low, high = DEVELOPMENT_SEEDS
     if development and not low <= seed <= seed + count <= high:
-        raise SeedError(f"seeds {seed} to {seed + count - 1}: those for development are "
-                        f"{low} to {high - 1}")
+        raise SeedError(f"seeds {seed} to {seed + count - 1}: those for development are {low} to {high - 1}")
     if not development and seed < FINAL_SEED:
-        raise SeedError(f"seed {seed}: those of a score are {FINAL_SEED} and above; "
-                        "--development takes others, for no figure that is shown")
+        raise SeedError(
+            f"seed {seed}: those of a score are {FINAL_SEED} and above; "
+            "--development takes others, for no figure that is shown"
+        )
 
 
 def counts(total: int) -> dict[str, int]:
@@ -38,7 +38,7 @@ def counts(total: int) -> dict[str, int]:
     exact = {kind: total * share / COUNT for kind, share in SHARES.items()}
     whole = {kind: int(value) for kind, value in exact.items()}
     order = sorted(SHARES, key=lambda kind: whole[kind] - exact[kind])
-    for kind in order[:total - sum(whole.values())]:
+    for kind in order[: total - sum(whole.values())]:
         whole[kind] += 1
     return whole
 

@@ -17,8 +17,7 @@ def wilson(right: int, count: int) -> tuple[float, float]:
         return 0.0, 1.0
     share, z2 = right / count, _NORMAL**2
     middle = (share + z2 / (2 * count)) / (1.0 + z2 / count)
-    half = _NORMAL / (1.0 + z2 / count) * sqrt(
-        share * (1.0 - share) / count + z2 / (4.0 * count**2))
+    half = _NORMAL / (1.0 + z2 / count) * sqrt(share * (1.0 - share) / count + z2 / (4.0 * count**2))
     return max(0.0, middle - half), min(1.0, middle + half)
 
 

@@ -38,17 +38,20 @@ class Bench:
         self.mechanism = m = load_mechanism()
         log = read_log(str(path), None, m.joints)
         self.problem = Problem(sample([log]), m)
-        self.library = {name: kind for name, kind in KINDS.items()
-                        if kind.screening is not None and m.possible(name)}
+        self.library = {name: kind for name, kind in KINDS.items() if kind.screening is not None and m.possible(name)}
         self.search = Search(self.problem, self.library)
         self.retuned = self.search.retune(m.start)
         alike = self.problem.like(self.retuned.residual())
         if alike is not self.problem:
             self.problem, self.search = alike, Search(alike, self.library)
             self.retuned = self.search.retune(self.retuned.theta)
-        self.predictor = Predictor([log], m, [_held(self.problem, 0)],
-                                   _row_noise(self.search, self.retuned),
-                                   self.problem.sampled.position_noise)
+        self.predictor = Predictor(
+            [log],
+            m,
+            [_held(self.problem, 0)],
+            _row_noise(self.search, self.retuned),
+            self.problem.sampled.position_noise,
+        )
         self.held_out = HeldOut.of(self.problem, self.predictor, lambda of: [_held(of, 0)])
 
     def true_structure(self, answer: dict) -> dict[str, list[float] | None]:
@@ -63,14 +66,14 @@ class Bench:
             raw = predictor.errors(m.plant(point.theta, effects))
             weighting = predictor.white_weighting(raw)
             for _ in range(2):
-                fitted = PredictionFit(predictor, weighting).run(
-                    point, trials.free(point, ()), rounds=_ROUNDS)
+                fitted = PredictionFit(predictor, weighting).run(point, trials.free(point, ()), rounds=_ROUNDS)
                 point = fitted.point
                 model = Model(fitted, weighting)
-                weighting = colour.weighting(
-                    predictor, predictor.errors(m.plant(point.theta, point.effects)))
-            return {"held_out": _finite(self.held_out.position_rms(model)),
-                    "unseen": _finite(self.held_out.unseen(point))}
+                weighting = colour.weighting(predictor, predictor.errors(m.plant(point.theta, point.effects)))
+            return {
+                "held_out": _finite(self.held_out.position_rms(model)),
+                "unseen": _finite(self.held_out.unseen(point)),
+            }
         except PumaSimError:
             return {"held_out": None, "unseen": None}
 
@@ -90,17 +93,25 @@ def _finite(errors) -> list[float] | None:
 
 def _true_arm(mechanism, p: dict) -> Plant:
     """The rigid arm of an answer."""
+
     def column(j, *names):
         return tuple(float(p[name][j]) for name in names)
 
     arm = mechanism.arm
-    links = tuple(replace(link, mass=float(p["m"][j]), centre=column(j, "x", "y", "z"),
-                          gyration_squared=column(j, "kxx", "kyy", "kzz"))
-                  for j, link in enumerate(arm.links))
-    motors = tuple(replace(motor, resistance=R, inductance=L, back_emf=ke, torque_constant=kt,
-                           inertia=Ia)
-                   for j, motor in enumerate(arm.motors)
-                   for R, L, ke, kt, Ia in [column(j, "R", "L", "ke", "kt", "Ia")])
+    links = tuple(
+        replace(
+            link,
+            mass=float(p["m"][j]),
+            centre=column(j, "x", "y", "z"),
+            gyration_squared=column(j, "kxx", "kyy", "kzz"),
+        )
+        for j, link in enumerate(arm.links)
+    )
+    motors = tuple(
+        replace(motor, resistance=R, inductance=L, back_emf=ke, torque_constant=kt, inertia=Ia)
+        for j, motor in enumerate(arm.motors)
+        for R, L, ke, kt, Ia in [column(j, "R", "L", "ke", "kt", "Ia")]
+    )
     viscous = tuple(Effect(VISCOUS, j + 1, {"coefficient": float(p["H"][j])}) for j in range(3))
     return Plant(replace(arm, links=links, motors=motors), viscous)
 
@@ -110,8 +121,12 @@ def _true_effects(mechanism, theta, effects: list[dict]) -> tuple[Effect, ...]:
     for effect in effects:
         kind = KINDS[effect["name"]]
         known = {p.name for p in kind.parameters}
-        made.append(Effect(kind, effect["joint"], {name: float(value) for name, value
-                                                   in effect["parameters"].items()
-                                                   if name in known}))
+        made.append(
+            Effect(
+                kind,
+                effect["joint"],
+                {name: float(value) for name, value in effect["parameters"].items() if name in known},
+            )
+        )
     plant = mechanism.plant(theta, made)
-    return tuple(plant.effects[len(plant.effects) - len(made):]) if made else ()
+    return tuple(plant.effects[len(plant.effects) - len(made) :]) if made else ()

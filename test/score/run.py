@@ -18,23 +18,22 @@ import os
 for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_name] = "1"  # before NumPy: one record a process, not one a machine
 
-import argparse  # noqa: E402
-from concurrent.futures import ProcessPoolExecutor, as_completed  # noqa: E402
-import json  # noqa: E402
-import math  # noqa: E402
-import multiprocessing  # noqa: E402
-from pathlib import Path  # noqa: E402
-import sys  # noqa: E402
-import tempfile  # noqa: E402
+import argparse
+import json
+import math
+import multiprocessing
+import sys
+import tempfile
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
 
 if __name__ == "__main__" and not __package__:
     # run as a script: the package is this folder
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
     __package__ = "score"
 
-from . import jobs, plan, table  # noqa: E402
-from .scoring import row_of  # noqa: E402
-
+from . import jobs, plan, table
+from .scoring import row_of
 
 #: records, the slowest ones, that are explained again with nothing beside them
 _AGAIN = 3
@@ -42,8 +41,9 @@ _AGAIN = 3
 
 def main(arguments=None) -> int:
     given = _parser().parse_args(arguments)
-    seed = given.seed if given.seed is not None else (
-        plan.DEVELOPMENT_SEEDS[0] if given.development else plan.FINAL_SEED)
+    seed = (
+        given.seed if given.seed is not None else (plan.DEVELOPMENT_SEEDS[0] if given.development else plan.FINAL_SEED)
+    )
     wanted = dict(_only(text) for text in given.only) or plan.counts(given.count)
     try:
         plan.check_seeds(seed, sum(wanted.values()), given.development)
@@ -56,11 +56,16 @@ def main(arguments=None) -> int:
     code = jobs.fingerprint()
     done = _kept(folder / "outcomes.jsonl", code)
     left = [recipe for recipe in recipes if _key(recipe) not in done]
-    print(f"{len(recipes)} records, seeds {seed} to {seed + len(recipes) - 1}, "
-          f"{len(recipes) - len(left)} of them explained before", flush=True)
+    print(
+        f"{len(recipes)} records, seeds {seed} to {seed + len(recipes) - 1}, "
+        f"{len(recipes) - len(left)} of them explained before",
+        flush=True,
+    )
     jobs.warm_up()
-    with tempfile.TemporaryDirectory(prefix="score-") as records, \
-            open(folder / "outcomes.jsonl", "a", encoding="utf-8") as kept:
+    with (
+        tempfile.TemporaryDirectory(prefix="score-") as records,
+        open(folder / "outcomes.jsonl", "a", encoding="utf-8") as kept,
+    ):
         kept.write("\n")  # the line before may have been cut short
         count = len(recipes) - len(left)
         for recipe, outcome in _outcomes(left, records, given.processes, not given.skip_small):
@@ -72,30 +77,42 @@ def main(arguments=None) -> int:
         alone = [jobs.seconds_alone(recipe, records) for recipe in _slowest(recipes, done)]
     outcomes = [done[_key(recipe)] for recipe in sorted(recipes, key=lambda r: r.seed)]
     rows = [row_of(outcome) for outcome in outcomes if not outcome["skipped"]]
-    text = table.text(rows, title=f"Seeds {seed} to {seed + len(recipes) - 1}"
-                      + (" (development: no figure to show)" if given.development else ""),
-                      alone=alone)
+    text = table.text(
+        rows,
+        title=f"Seeds {seed} to {seed + len(recipes) - 1}"
+        + (" (development: no figure to show)" if given.development else ""),
+        alone=alone,
+    )
     print(f"\n{text}")
-    summary = {"seed": seed, "code": code, "development": given.development,
-               "rows": _finite(rows)}
+    summary = {"seed": seed, "code": code, "development": given.development, "rows": _finite(rows)}
     (folder / "score.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
     (folder / "score.txt").write_text(text + "\n", encoding="utf-8")
     return 0
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--count", type=int, default=plan.COUNT, metavar="N",
-                        help="records, in the shares of the whole score (default %(default)s)")
-    parser.add_argument("--seed", type=int, metavar="N",
-                        help=f"of the first record (default {plan.FINAL_SEED})")
-    parser.add_argument("--development", action="store_true",
-                        help="seeds {} to {} instead".format(*plan.DEVELOPMENT_SEEDS))
-    parser.add_argument("--only", action="append", default=[], metavar="KIND=N",
-                        help="records of a kind or with an effect; may stand more than once")
-    parser.add_argument("--skip-small", action="store_true",
-                        help="do not explain records whose effect is too small to be seen")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument(
+        "--count",
+        type=int,
+        default=plan.COUNT,
+        metavar="N",
+        help="records, in the shares of the whole score (default %(default)s)",
+    )
+    parser.add_argument("--seed", type=int, metavar="N", help=f"of the first record (default {plan.FINAL_SEED})")
+    parser.add_argument(
+        "--development", action="store_true", help="seeds {} to {} instead".format(*plan.DEVELOPMENT_SEEDS)
+    )
+    parser.add_argument(
+        "--only",
+        action="append",
+        default=[],
+        metavar="KIND=N",
+        help="records of a kind or with an effect; may stand more than once",
+    )
+    parser.add_argument(
+        "--skip-small", action="store_true", help="do not explain records whose effect is too small to be seen"
+    )
     parser.add_argument("--processes", type=int, default=2, metavar="N")
     parser.add_argument("--out", default="build/score", metavar="FOLDER")
     return parser
@@ -103,8 +120,11 @@ def _parser() -> argparse.ArgumentParser:
 
 def _slowest(recipes, done) -> list:
     """The recipes whose explanations took longest: two at a time share the cores."""
-    timed = [(done[_key(recipe)]["seconds"], n) for n, recipe in enumerate(recipes)
-             if done[_key(recipe)]["seconds"] is not None and recipe.fault is None]
+    timed = [
+        (done[_key(recipe)]["seconds"], n)
+        for n, recipe in enumerate(recipes)
+        if done[_key(recipe)]["seconds"] is not None and recipe.fault is None
+    ]
     return [recipes[n] for _, n in sorted(timed, reverse=True)[:_AGAIN]]
 
 

@@ -17,8 +17,12 @@ LEAST_SIZE = 0.6
 ROW_TOLERANCE = 5
 ABSTAINED = ("UNNAMED", "NAMED_WITH_REMAINDER")
 #: parameters that come round again, and after how much
-_PERIODIC = {("torque_ripple", "phase"), ("sensor_nonlinearity", "phase"),
-             ("transmission_error", "phase"), ("position_dependent_friction", "angle")}
+_PERIODIC = {
+    ("torque_ripple", "phase"),
+    ("sensor_nonlinearity", "phase"),
+    ("transmission_error", "phase"),
+    ("position_dependent_friction", "angle"),
+}
 #: beyond this share an error counts as worse
 _WORSE = 1e-6
 
@@ -29,7 +33,7 @@ def truth_of(answer: dict) -> list[tuple]:
 
 
 def kind_of(answer: dict) -> str:
-    """"nothing", "single", "pair", "outside" or "fault"."""
+    """ "nothing", "single", "pair", "outside" or "fault"."""
     if answer["faults"]:
         return "fault"
     if answer["outside"]:
@@ -77,16 +81,17 @@ def fault_right(outcome: dict, faults: list[dict]) -> tuple[bool, bool, bool]:
     if channels == {None}:
         return True, True, True
     matching = [fault for fault in found if fault["channel"] in channels]
-    near = any(fault["row"] is None if row is None else fault["row"] is not None
-               and abs(fault["row"] - row) <= ROW_TOLERANCE for fault in matching)
+    near = any(
+        fault["row"] is None if row is None else fault["row"] is not None and abs(fault["row"] - row) <= ROW_TOLERANCE
+        for fault in matching
+    )
     return True, bool(matching), near
 
 
 def coverage(report: dict, answer: dict) -> list[tuple[str, bool]]:
     """(effect.parameter, whether its interval holds the true value) of each right name; what was
     not fitted has no interval."""
-    true = {(effect["name"], effect["joint"]): effect["parameters"]
-            for effect in answer["effects"]}
+    true = {(effect["name"], effect["joint"]): effect["parameters"] for effect in answer["effects"]}
     found = []
     for effect in report["effects"]:
         name = effect["name"]
@@ -119,22 +124,29 @@ def row_of(outcome: dict) -> dict:
     answer, report = outcome["answer"], outcome.get("report")
     kind, truth = kind_of(answer), truth_of(answer)
     sizes = [effect["size"] for effect in answer["effects"]]
-    row = {"record": outcome["record"], "kind": kind, "truth": truth,
-           "size": min(sizes) if sizes else answer["size"],
-           "distinct_size": min((effect["distinct_size"] for effect in answer["effects"]),
-                                default=None),
-           "what": answer["outside"]["what"] if kind == "outside" else
-           answer["recipe"]["fault"] if kind == "fault" else
-           "+".join(name for name, _ in truth) or "nothing",
-           "verdict": report["verdict"] if report else "ERROR", "error": outcome.get("error"),
-           "seconds": outcome.get("seconds"), "megabytes": outcome.get("megabytes"),
-           "said": said_of(report) if report else [], "baselines": {}}
+    row = {
+        "record": outcome["record"],
+        "kind": kind,
+        "truth": truth,
+        "size": min(sizes) if sizes else answer["size"],
+        "distinct_size": min((effect["distinct_size"] for effect in answer["effects"]), default=None),
+        "what": answer["outside"]["what"]
+        if kind == "outside"
+        else answer["recipe"]["fault"]
+        if kind == "fault"
+        else "+".join(name for name, _ in truth) or "nothing",
+        "verdict": report["verdict"] if report else "ERROR",
+        "error": outcome.get("error"),
+        "seconds": outcome.get("seconds"),
+        "megabytes": outcome.get("megabytes"),
+        "said": said_of(report) if report else [],
+        "baselines": {},
+    }
     if kind == "fault":
         row["fault"] = fault_right(outcome, answer["faults"])
         return row
     if report is None:
-        report = {"verdict": "ERROR", "effects": [], "shape": None,
-                  "errors": {"held_out": None, "unseen": None}}
+        report = {"verdict": "ERROR", "effects": [], "shape": None, "errors": {"held_out": None, "unseen": None}}
     said = row["said"]
     row["named"] = bool(said)
     if kind == "nothing":
@@ -172,21 +184,28 @@ def _errors(row: dict, outcome: dict, report: dict, truth: list[tuple]) -> None:
     row["worse"] = _worse(row["against_retuned"])
     # the quarter that no choice has seen holds a few windows, and tells of luck as well
     before = held_out(report, "retuned", "unseen")
-    row["unseen_worse"] = _worse(_ratio(held_out(report, "augmented", "unseen"), before)
-                                 if row["named"] else None)
+    row["unseen_worse"] = _worse(_ratio(held_out(report, "augmented", "unseen"), before) if row["named"] else None)
     row["only_here"] = bool(row["unseen_worse"]) and not _worse(_ratio(unseen, before))
     for name, made in (outcome.get("baselines") or {}).items():
         names = [tuple(each) for each in made["names"]]
         row["baselines"][name] = {
             "top1": bool(names) and names[0][0] in {n for n, _ in truth},
             "joint_right": bool(names) and names[0][1] in {j for _, j in truth},
-            "alarm": bool(names), "needless": len(names) > len(truth),
-            "both": bool(truth) and set(truth) <= set(names), "named": bool(names),
-            "ratio": _ratio(over_joints(made["position_rms"]), unseen,
-                            math.inf if made["names"] else None)}
+            "alarm": bool(names),
+            "needless": len(names) > len(truth),
+            "both": bool(truth) and set(truth) <= set(names),
+            "named": bool(names),
+            "ratio": _ratio(over_joints(made["position_rms"]), unseen, math.inf if made["names"] else None),
+        }
     row["baselines"]["retuning"] = {
-        "top1": False, "joint_right": False, "alarm": False, "needless": False, "both": False,
-        "named": False, "ratio": _ratio(retuned, true)}
+        "top1": False,
+        "joint_right": False,
+        "alarm": False,
+        "needless": False,
+        "both": False,
+        "named": False,
+        "ratio": _ratio(retuned, true),
+    }
 
 
 def _worse(ratio: float | None) -> bool | None:

@@ -4,9 +4,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-import math
 
 from .rates import clopper_pearson, wilson
 from .scoring import LEAST_SIZE, ROW_TOLERANCE, kind_of, row_of
@@ -20,15 +20,16 @@ def line(outcome: dict) -> str:
     """One record in a line or two: what was there, what was said, and, where that was wrong, the
     ranking behind it."""
     answer = outcome["answer"]
-    effects = " + ".join(f"{_named(e['name'], e['joint'])} size {e['size']:.2g}"
-                         f" (distinct {e['distinct_size']:.2g})" for e in answer["effects"])
+    effects = " + ".join(
+        f"{_named(e['name'], e['joint'])} size {e['size']:.2g} (distinct {e['distinct_size']:.2g})"
+        for e in answer["effects"]
+    )
     kind = kind_of(answer)
     if kind == "outside":
         o = answer["outside"]
         effects = f"outside: {_named(o['what'], o['joint'])} over {o['axis']} size {answer['size']}"
     elif kind == "fault":
-        effects = "fault: " + "; ".join(f"{f['channel']} row {f['row']} {f['what']}"
-                                        for f in answer["faults"])
+        effects = "fault: " + "; ".join(f"{f['channel']} row {f['row']} {f['what']}" for f in answer["faults"])
     head = f"{outcome['record']} [{_driven(answer)}] {effects or 'nothing missing'}"
     if outcome["skipped"]:
         return f"{head}: too small, left out"
@@ -38,8 +39,9 @@ def line(outcome: dict) -> str:
     if row["kind"] == "fault":
         text += "" if all(row["fault"]) else f"   WRONG verdict, channel, row: {row['fault']}"
         if outcome["report"]:
-            text += "".join(f"\n          {f['channel']} row {f['row']}: {f['what'][:110]}"
-                            for f in outcome["report"]["faults"][:2])
+            text += "".join(
+                f"\n          {f['channel']} row {f['row']}: {f['what'][:110]}" for f in outcome["report"]["faults"][:2]
+            )
         return text + (f"\n          {outcome['error']}" if outcome["error"] else "")
     if outcome["error"]:
         return f"{text}   WRONG\n          {outcome['error']}"
@@ -49,18 +51,24 @@ def line(outcome: dict) -> str:
         text += f" shape {row['shape']}"
     if not _right(row):
         first = outcome["report"]["ranking"][:6]
-        ranking = "; ".join(f"{_named(r['name'], r['joint'])} {r['evidence']:.1f}"
-                            f"{'' if len(r['verdict']) > 40 else ' ' + r['verdict']}"
-                            for r in first)
+        ranking = "; ".join(
+            f"{_named(r['name'], r['joint'])} {r['evidence']:.1f}{'' if len(r['verdict']) > 40 else ' ' + r['verdict']}"
+            for r in first
+        )
         text += f"   WRONG\n          ranking: {ranking}"
     missed = [name for name, held in row.get("coverage", ()) if not held]
     return text + (f"\n          intervals miss {', '.join(missed)}" if missed else "")
 
 
 def _driven(answer: dict) -> str:
-    return " ".join([f"{answer['sampling_ms']:.2g} ms", str(answer["motion"]),
-                     "feedback" if answer["feedback"] else "open loop",
-                     f"dither {answer['dither']}" if answer["dither"] else "no dither"])
+    return " ".join(
+        [
+            f"{answer['sampling_ms']:.2g} ms",
+            str(answer["motion"]),
+            "feedback" if answer["feedback"] else "open loop",
+            f"dither {answer['dither']}" if answer["dither"] else "no dither",
+        ]
+    )
 
 
 def _named(name: str, joint: int | None) -> str:
@@ -69,45 +77,52 @@ def _named(name: str, joint: int | None) -> str:
 
 def _right(row: dict) -> bool:
     """Whether all of a record is as it should be."""
-    return {"nothing": lambda: not row["alarm"],
-            "single": lambda: row["exact"] and not row["needless"],
-            "pair": lambda: row["both"] and not row["needless"],
-            "outside": lambda: row["abstained"] and row["axis_right"] and row["shape_joint"],
-            "fault": lambda: all(row["fault"])}[row["kind"]]()
+    return {
+        "nothing": lambda: not row["alarm"],
+        "single": lambda: row["exact"] and not row["needless"],
+        "pair": lambda: row["both"] and not row["needless"],
+        "outside": lambda: row["abstained"] and row["axis_right"] and row["shape_joint"],
+        "fault": lambda: all(row["fault"]),
+    }[row["kind"]]()
 
 
 def text(rows: list[dict], title: str = "", alone: Sequence[float] = ()) -> str:
     """The whole table. alone : seconds of the slowest records when nothing runs beside them."""
-    of = {kind: [row for row in rows if row["kind"] == kind]
-          for kind in ("nothing", "single", "pair", "outside", "fault")}
+    of = {
+        kind: [row for row in rows if row["kind"] == kind] for kind in ("nothing", "single", "pair", "outside", "fault")
+    }
     seen = [row for row in of["single"] if row["size"] >= LEAST_SIZE]
     pairs = [row for row in of["pair"] if row["size"] >= LEAST_SIZE]
     small = len(of["single"]) - len(seen) + len(of["pair"]) - len(pairs)
     out = [title, "", _head()]
     strong = [row for row in seen if row["size"] >= 1.5]
     weak = [row for row in seen if row["size"] < 1.5]
-    out += [_share("right name first, size 1.5 and more", strong, "top1", ">= 97 %"),
-            _share("right name first, size 0.6 to 1.5", weak, "top1", ">= 90 %"),
-            _share("right name and joint first, 0.6 and more", seen, "exact"),
-            _share("named, or tied with a name, 0.6 and more", seen, "tie_aware"),
-            _share("right joint of the first name", [r for r in seen if r["named"]],
-                   "joint_right", ">= 99 %", among="named"),
-            _share("needless names (also of pairs)", seen + pairs, "needless", "<= 3 %"),
-            _share("alarms where nothing is missing", of["nothing"], "alarm", "<= 2 %"),
-            _share("  of them false names", of["nothing"], "false_name"),
-            _share("pairs: both", pairs, "both", ">= 90 %"),
-            _share("pairs: one at least", pairs, "one"),
-            _share("outside the library: unnamed or remainder", of["outside"], "abstained",
-                   ">= 95 %"),
-            _share("  axis and joint of its shape", of["outside"], lambda row: row["axis_right"]
-                   and row["shape_joint"], ">= 90 %"),
-            _share("faults: verdict", of["fault"], lambda row: row["fault"][0], "100 %"),
-            _share("  channel", of["fault"], lambda row: row["fault"][1], "100 %"),
-            _share(f"  row (within {ROW_TOLERANCE})", of["fault"], lambda row: row["fault"][2],
-                   "100 %")]
+    out += [
+        _share("right name first, size 1.5 and more", strong, "top1", ">= 97 %"),
+        _share("right name first, size 0.6 to 1.5", weak, "top1", ">= 90 %"),
+        _share("right name and joint first, 0.6 and more", seen, "exact"),
+        _share("named, or tied with a name, 0.6 and more", seen, "tie_aware"),
+        _share(
+            "right joint of the first name", [r for r in seen if r["named"]], "joint_right", ">= 99 %", among="named"
+        ),
+        _share("needless names (also of pairs)", seen + pairs, "needless", "<= 3 %"),
+        _share("alarms where nothing is missing", of["nothing"], "alarm", "<= 2 %"),
+        _share("  of them false names", of["nothing"], "false_name"),
+        _share("pairs: both", pairs, "both", ">= 90 %"),
+        _share("pairs: one at least", pairs, "one"),
+        _share("outside the library: unnamed or remainder", of["outside"], "abstained", ">= 95 %"),
+        _share(
+            "  axis and joint of its shape",
+            of["outside"],
+            lambda row: row["axis_right"] and row["shape_joint"],
+            ">= 90 %",
+        ),
+        _share("faults: verdict", of["fault"], lambda row: row["fault"][0], "100 %"),
+        _share("  channel", of["fault"], lambda row: row["fault"][1], "100 %"),
+        _share(f"  row (within {ROW_TOLERANCE})", of["fault"], lambda row: row["fault"][2], "100 %"),
+    ]
     inside = [held for row in seen + pairs for _, held in row["coverage"]]
-    out.append(_counted("95 % intervals that hold the truth", sum(inside), len(inside),
-                        "90-98 %"))
+    out.append(_counted("95 % intervals that hold the truth", sum(inside), len(inside), "90-98 %"))
     out += _ratios("held-out error / true structure: median", seen + pairs, 0.5, "<= 1.15")
     out += _ratios("  90 % of the records are below", seen + pairs, 0.9)
     out += _ratios("  mean, where nothing is missing", of["nothing"], None)
@@ -115,14 +130,13 @@ def text(rows: list[dict], title: str = "", alone: Sequence[float] = ()) -> str:
     out.append(_share("named, and held out worse than retuned", worse, "worse", "0"))
     out.append(_share("  in the quarter that no choice has seen", worse, "unseen_worse"))
     out.append(_share("    and the true structure is not", worse, "only_here"))
-    seconds = sorted(row["seconds"] for row in rows if row["seconds"] is not None
-                     and row["kind"] != "fault")
+    seconds = sorted(row["seconds"] for row in rows if row["seconds"] is not None and row["kind"] != "fault")
     if seconds:
-        out.append(_row("seconds a record: median, worst",
-                        f"{_quantile(seconds, 0.5):.1f}, {seconds[-1]:.1f}", "15; <= 60"))
+        out.append(
+            _row("seconds a record: median, worst", f"{_quantile(seconds, 0.5):.1f}, {seconds[-1]:.1f}", "15; <= 60")
+        )
     if alone:
-        out.append(_row("  the slowest again, each alone",
-                        ", ".join(f"{each:.1f}" for each in alone), "<= 60"))
+        out.append(_row("  the slowest again, each alone", ", ".join(f"{each:.1f}" for each in alone), "<= 60"))
     memory = [row["megabytes"] for row in rows if row.get("megabytes")]
     if memory:
         out.append(_row("memory of a process [MB]", str(max(memory)), "< 2000"))
@@ -130,24 +144,29 @@ def text(rows: list[dict], title: str = "", alone: Sequence[float] = ()) -> str:
     out.append(_row("records that ended in an error", str(len(errors)), "0"))
     alarms = sum(row["alarm"] for row in of["nothing"])
     low, high = clopper_pearson(alarms, len(of["nothing"]))
-    out += ["", f"In brackets: Wilson's 95 % interval; alarms by Clopper and Pearson: "
-                f"{100 * low:.1f} to {100 * high:.1f} %.",
-            f"Left out of accuracy: {small} records whose effect has a size below {LEAST_SIZE}."]
+    out += [
+        "",
+        f"In brackets: Wilson's 95 % interval; alarms by Clopper and Pearson: {100 * low:.1f} to {100 * high:.1f} %.",
+        f"Left out of accuracy: {small} records whose effect has a size below {LEAST_SIZE}.",
+    ]
     out += _by_size("size", seen) + _by_size(
-        "distinct_size", [r for r in seen if r["truth"][0][0] != "coulomb_friction"])
-    return "\n".join(out + _by_parameter(seen + pairs) + _by_effect(seen)
-                     + _by_what("outside the library", of["outside"])
-                     + _by_what("faults", of["fault"]))
+        "distinct_size", [r for r in seen if r["truth"][0][0] != "coulomb_friction"]
+    )
+    return "\n".join(
+        out
+        + _by_parameter(seen + pairs)
+        + _by_effect(seen)
+        + _by_what("outside the library", of["outside"])
+        + _by_what("faults", of["fault"])
+    )
 
 
 def _head() -> str:
-    return (f"{'':{_LABEL}}{'here':{_OWN}}{'wanted':{_BAR}}"
-            + "".join(f"{name:>{_OTHER}}" for name in BASELINES))
+    return f"{'':{_LABEL}}{'here':{_OWN}}{'wanted':{_BAR}}" + "".join(f"{name:>{_OTHER}}" for name in BASELINES)
 
 
 def _row(label: str, own: str, bar: str = "", others: Iterable[str] = ()) -> str:
-    return (f"{label:{_LABEL}}{own:{_OWN}}{bar:{_BAR}}"
-            + "".join(f"{value:>{_OTHER}}" for value in others)).rstrip()
+    return (f"{label:{_LABEL}}{own:{_OWN}}{bar:{_BAR}}" + "".join(f"{value:>{_OTHER}}" for value in others)).rstrip()
 
 
 def _counted(label: str, right: int, count: int, bar: str = "", others: Iterable[str] = ()) -> str:
@@ -158,8 +177,7 @@ def _counted(label: str, right: int, count: int, bar: str = "", others: Iterable
     return _row(label, own, bar, others)
 
 
-def _share(label: str, rows: list[dict], what: str | Callable, bar: str = "",
-           among: str | None = None) -> str:
+def _share(label: str, rows: list[dict], what: str | Callable, bar: str = "", among: str | None = None) -> str:
     """Share of rows of which `what` (a key or a function) holds, with that of the baselines."""
     take = what if callable(what) else lambda row: row[what]
     others = []
@@ -167,10 +185,14 @@ def _share(label: str, rows: list[dict], what: str | Callable, bar: str = "",
         for name in BASELINES:
             made = [row["baselines"][name] for row in rows if name in row["baselines"]]
             made = [b for b in made if what in b and (among is None or b[among])]
-            others.append(f"{100 * sum(b[what] for b in made) / len(made):.1f} %"
-                          if made else "-")
-    return _counted(label, sum(bool(take(row)) for row in rows), len(rows), bar,
-                    others if any(other != "-" for other in others) else ())
+            others.append(f"{100 * sum(b[what] for b in made) / len(made):.1f} %" if made else "-")
+    return _counted(
+        label,
+        sum(bool(take(row)) for row in rows),
+        len(rows),
+        bar,
+        others if any(other != "-" for other in others) else (),
+    )
 
 
 def _ratios(label: str, rows: list[dict], share: float | None, bar: str = "") -> list[str]:
@@ -180,9 +202,13 @@ def _ratios(label: str, rows: list[dict], share: float | None, bar: str = "") ->
             return "-"
         value = sum(values) / len(values) if share is None else _quantile(values, share)
         return f"{value:.3f}" if math.isfinite(value) else "diverges"
+
     own = shown(row["ratio"] for row in rows)
-    return [_row(label, own, bar, (shown(
-        row["baselines"].get(name, {}).get("ratio") for row in rows) for name in BASELINES))]
+    return [
+        _row(
+            label, own, bar, (shown(row["baselines"].get(name, {}).get("ratio") for row in rows) for name in BASELINES)
+        )
+    ]
 
 
 def _quantile(values: list[float], share: float) -> float:
@@ -194,8 +220,11 @@ def _quantile(values: list[float], share: float) -> float:
 
 
 def _by_size(key: str, rows: list[dict]) -> list[str]:
-    out = ["", f"Right name first, by {key}" + (" (of what Coulomb friction besides does not "
-                                               "absorb either)" if key != "size" else "")]
+    out = [
+        "",
+        f"Right name first, by {key}"
+        + (" (of what Coulomb friction besides does not absorb either)" if key != "size" else ""),
+    ]
     low = [row for row in rows if row[key] < LEAST_SIZE]
     if low:
         out.append(_share(f"  below {LEAST_SIZE}", low, "top1"))
@@ -210,20 +239,22 @@ def _by_parameter(rows: list[dict]) -> list[str]:
     for row in rows:
         for name, inside in row["coverage"]:
             held.setdefault(name, []).append(inside)
-    return ["", "Intervals that hold the truth, by parameter", *(
-        _row(f"  {name}", f"{sum(inside)}/{len(inside)}") for name, inside in sorted(
-            held.items()))]
+    return [
+        "",
+        "Intervals that hold the truth, by parameter",
+        *(_row(f"  {name}", f"{sum(inside)}/{len(inside)}") for name, inside in sorted(held.items())),
+    ]
 
 
 def _by_effect(rows: list[dict]) -> list[str]:
-    out = ["", f"By effect, size {LEAST_SIZE} and more: right name and joint / all, and what was "
-               "said instead"]
+    out = ["", f"By effect, size {LEAST_SIZE} and more: right name and joint / all, and what was said instead"]
     for name in sorted({row["what"] for row in rows}):
         own = [row for row in rows if row["what"] == name]
         instead = Counter(_instead(row) for row in own if not row["exact"])
-        out.append(_row(f"  {name}", f"{sum(row['exact'] for row in own)}/{len(own)}")
-                   .ljust(_LABEL + 8) + "; ".join(
-            f"{said} ({count})" if count > 1 else said for said, count in instead.most_common()))
+        out.append(
+            _row(f"  {name}", f"{sum(row['exact'] for row in own)}/{len(own)}").ljust(_LABEL + 8)
+            + "; ".join(f"{said} ({count})" if count > 1 else said for said, count in instead.most_common())
+        )
     return [line.rstrip() for line in out]
 
 
@@ -239,8 +270,9 @@ def _by_what(label: str, rows: list[dict]) -> list[str]:
     for what in sorted({row["what"] for row in rows}):
         own = [row for row in rows if row["what"] == what]
         wrong = [row for row in own if not _right(row)]
-        said = Counter(f"{row['verdict']} {', '.join(_named(*e) for e in row['said'])}"
-                       f"{row.get('shape') or row.get('fault') or ''}" for row in wrong)
-        out.append(_row(f"  {what}", f"{len(own) - len(wrong)}/{len(own)}").ljust(_LABEL + 8)
-                   + "; ".join(said))
+        said = Counter(
+            f"{row['verdict']} {', '.join(_named(*e) for e in row['said'])}{row.get('shape') or row.get('fault') or ''}"
+            for row in wrong
+        )
+        out.append(_row(f"  {what}", f"{len(own) - len(wrong)}/{len(own)}").ljust(_LABEL + 8) + "; ".join(said))
     return [line.rstrip() for line in out]

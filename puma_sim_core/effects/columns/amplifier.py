@@ -7,8 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..screening import VOLTAGE_COLUMN, Candidate, Screening, Signals
-from .common import (bounded, candidate, on_joint, positive, recursion, stretches, visible,
-                     volt_scale)
+from .common import bounded, candidate, on_joint, positive, recursion, stretches, visible, volt_scale
 
 #: shares of the samples that lie beyond a limit, for the grids of limits
 _BEYOND = (0.003, 0.008, 0.016, 0.03, 0.055, 0.09, 0.14, 0.2, 0.28, 0.38, 0.5)
@@ -34,8 +33,11 @@ def _limits(values: np.ndarray) -> list[tuple[float, float]]:
     if levels.size == 0 or levels[-1] <= 0.0:
         return []
     edges = np.concatenate([[levels[0]], levels, [magnitude.max()]])
-    return [(float(level), float(max(0.3 * (edges[n + 2] - edges[n]), 1e-3 * level)))
-            for n, level in enumerate(levels) if level > 0.0]
+    return [
+        (float(level), float(max(0.3 * (edges[n + 2] - edges[n]), 1e-3 * level)))
+        for n, level in enumerate(levels)
+        if level > 0.0
+    ]
 
 
 def saturation(signals: Signals, joint: int) -> list[Candidate]:
@@ -51,8 +53,9 @@ def saturation(signals: Signals, joint: int) -> list[Candidate]:
 
         columns = on_joint(joint, excess, -np.sign(excess))
         if visible(columns):
-            found.append(candidate(columns, [1.0, 0.0], [_SHARP, reach], values,
-                                   {"voltage": limit}, VOLTAGE_COLUMN, fixed=True))
+            found.append(
+                candidate(columns, [1.0, 0.0], [_SHARP, reach], values, {"voltage": limit}, VOLTAGE_COLUMN, fixed=True)
+            )
     return found
 
 
@@ -76,9 +79,17 @@ def current_limit(signals: Signals, joint: int) -> list[Candidate]:
 
         columns = on_joint(joint, excess, -np.sign(excess))
         if visible(columns):
-            found.append(candidate(columns, [1.0, 0.0], [2.0 * _SHARP, reach], values,
-                                   {"current": float(limit / resistance)}, VOLTAGE_COLUMN,
-                                   fixed=True))
+            found.append(
+                candidate(
+                    columns,
+                    [1.0, 0.0],
+                    [2.0 * _SHARP, reach],
+                    values,
+                    {"current": float(limit / resistance)},
+                    VOLTAGE_COLUMN,
+                    fixed=True,
+                )
+            )
     return found
 
 
@@ -101,8 +112,7 @@ def _winding(signals: Signals, joint: int, volts: np.ndarray) -> np.ndarray:
         # the voltage between two samples is about the mean of both
         driving = volts[part].copy()
         driving[1:] = 0.5 * (volts[part][1:] + volts[part][:-1])
-        out[part] = recursion(np.full_like(driving, kept), (1.0 - kept) * driving,
-                              float(driving[0]))
+        out[part] = recursion(np.full_like(driving, kept), (1.0 - kept) * driving, float(driving[0]))
     return out
 
 
@@ -116,14 +126,21 @@ def dead_band(signals: Signals, joint: int) -> list[Candidate]:
             break
 
         def values(c, width=float(width)):
-            return {"voltage": positive(width + c[1], "half width of the dead-band", "V",
-                                        4.0 * unit)}
+            return {"voltage": positive(width + c[1], "half width of the dead-band", "V", 4.0 * unit)}
 
-        columns = on_joint(joint, np.clip(voltage, -width, width),
-                           np.sign(_excess(voltage, width)))
+        columns = on_joint(joint, np.clip(voltage, -width, width), np.sign(_excess(voltage, width)))
         if visible(columns):
-            found.append(candidate(columns, [1.0, 0.0], [_SHARP, 0.2 * width], values,
-                                   {"voltage": float(width)}, VOLTAGE_COLUMN, fixed=True))
+            found.append(
+                candidate(
+                    columns,
+                    [1.0, 0.0],
+                    [_SHARP, 0.2 * width],
+                    values,
+                    {"voltage": float(width)},
+                    VOLTAGE_COLUMN,
+                    fixed=True,
+                )
+            )
     return found
 
 
@@ -134,8 +151,7 @@ def offset(signals: Signals, joint: int) -> list[Candidate]:
     def values(c):
         return {"voltage": bounded(c[0], "offset", "V", 6.0 * unit)}
 
-    return [candidate(on_joint(joint, np.ones(len(signals.time))), [0.0], [0.5 * unit], values,
-                      unit=VOLTAGE_COLUMN)]
+    return [candidate(on_joint(joint, np.ones(len(signals.time))), [0.0], [0.5 * unit], values, unit=VOLTAGE_COLUMN)]
 
 
 def droop(signals: Signals, joint: int | None) -> list[Candidate]:
@@ -156,14 +172,12 @@ def delay(signals: Signals, joint: int | None) -> list[Candidate]:
     """
     found = []
     for time in _DELAYS:
-        column = {j: (signals.voltage[:, j] - _late(signals, j, time)) / time
-                  for j in range(signals.joints)}
+        column = {j: (signals.voltage[:, j] - _late(signals, j, time)) / time for j in range(signals.joints)}
 
         def values(c):
             return {"time": positive(c[0], "delay", "s", 0.03)}
 
-        found.append(candidate([column], [time], [0.5 * time], values, {"time": time},
-                               VOLTAGE_COLUMN))
+        found.append(candidate([column], [time], [0.5 * time], values, {"time": time}, VOLTAGE_COLUMN))
     return found
 
 
@@ -176,38 +190,45 @@ def _late(signals: Signals, joint: int, time: float) -> np.ndarray:
     return out
 
 
-_LIMITS_CURRENT = ("is exceeded at one current, whatever the speed: at a fast reversal long before "
-                   "the greatest voltage")
+_LIMITS_CURRENT = "is exceeded at one current, whatever the speed: at a fast reversal long before the greatest voltage"
 
 SCREENINGS = {
     "voltage_saturation": Screening(
         saturation,
         look_alikes=(
-            ("quadratic_friction", "nothing is missing below the supply voltage, and all of the "
-                                   "excess above it"),
+            ("quadratic_friction", "nothing is missing below the supply voltage, and all of the excess above it"),
             ("supply_droop", "the limit does not give way under the currents of other joints"),
             ("current_limit", "the limit is one of the voltage, not of the current"),
-            ("input_delay", "the shortfall is that of the peaks, not of fast changes")),
+            ("input_delay", "the shortfall is that of the peaks, not of fast changes"),
+        ),
         excitation="Voltages that reach the supply, as in fast motion of the joint.",
-        plausible=(("voltage", 1.0, 60.0),)),
+        plausible=(("voltage", 1.0, 60.0),),
+    ),
     "current_limit": Screening(
         current_limit,
         look_alikes=(
             ("voltage_saturation", "the limit " + _LIMITS_CURRENT),
             ("quadratic_friction", "the shortfall comes at great torque, not at great speed"),
-            ("supply_droop", "the joint's own current explains it, not that of the others")),
+            ("supply_droop", "the joint's own current explains it, not that of the others"),
+        ),
         excitation="Fast reversals, so that back-EMF and voltage add up.",
-        plausible=(("current", 0.5, 20.0),), fast=True),
+        plausible=(("current", 0.5, 20.0),),
+        fast=True,
+    ),
     "voltage_dead_band": Screening(
         dead_band,
         look_alikes=(
-            ("coulomb_friction", "the step follows the sign of the voltage, not of the velocity: "
-                                 "the two differ where gravity drives the joint or brakes it"),
+            (
+                "coulomb_friction",
+                "the step follows the sign of the voltage, not of the velocity: "
+                "the two differ where gravity drives the joint or brakes it",
+            ),
             ("voltage_offset", "the loss changes sign with the voltage"),
-            ("asymmetric_coulomb_friction", "the step has one height, by the sign of the "
-                                            "voltage")),
+            ("asymmetric_coulomb_friction", "the step has one height, by the sign of the voltage"),
+        ),
         excitation="Motion that gravity helps, with small voltages of both signs.",
-        plausible=(("voltage", 0.05, 1.5),)),
+        plausible=(("voltage", 0.05, 1.5),),
+    ),
     "voltage_offset": Screening(
         offset,
         look_alikes=(
@@ -216,28 +237,35 @@ SCREENINGS = {
             ("base_tilt", "the constant does not turn with the pose"),
             ("encoder_offset", "the constant does not follow the slope of gravity's torque"),
             ("payload", "the constant stays on its joint and is the same in all poses"),
-            ("voltage_dead_band", "the constant does not change sign with the voltage")),
+            ("voltage_dead_band", "the constant does not change sign with the voltage"),
+        ),
         excitation="Any motion; both directions and many poses tell it from gravity.",
-        plausible=(("voltage", 0.02, 1.0),)),
+        plausible=(("voltage", 0.02, 1.0),),
+    ),
     "supply_droop": Screening(
         droop,
         look_alikes=(
-            ("resistance_drift", "the loss follows the currents of all joints at once, from the "
-                                 "beginning on"),
-            ("voltage_saturation", "the loss is in proportion to the voltage, without a "
-                                   "threshold"),
+            ("resistance_drift", "the loss follows the currents of all joints at once, from the beginning on"),
+            ("voltage_saturation", "the loss is in proportion to the voltage, without a threshold"),
             ("quadratic_friction", "a joint loses voltage also by the currents of the others"),
-            ("current_limit", "the currents of the other joints explain it too, without a "
-                              "threshold")),
+            ("current_limit", "the currents of the other joints explain it too, without a threshold"),
+        ),
         excitation="Joints that move alone, and then together.",
-        plausible=(("coefficient", 0.001, 0.03),)),
+        plausible=(("coefficient", 0.001, 0.03),),
+    ),
     "input_delay": Screening(
         delay,
         look_alikes=(
-            ("sensor_lag", "a delay shifts all frequencies by one time and all joints alike; a "
-                           "lag of the sensor is the joint's own and bends with the frequency"),
+            (
+                "sensor_lag",
+                "a delay shifts all frequencies by one time and all joints alike; a "
+                "lag of the sensor is the joint's own and bends with the frequency",
+            ),
             ("joint_elasticity", "the shift has no resonance and is common to all joints"),
-            ("voltage_saturation", "the shortfall is that of fast changes, not of the peaks")),
+            ("voltage_saturation", "the shortfall is that of fast changes, not of the peaks"),
+        ),
         excitation="A dither of 5 to 20 Hz on the voltage, best without feedback.",
-        plausible=(("time", 0.0003, 0.01),), fast=True),
+        plausible=(("time", 0.0003, 0.01),),
+        fast=True,
+    ),
 }

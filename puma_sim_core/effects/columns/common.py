@@ -55,8 +55,9 @@ def motor_torque(signals: Signals, joint: int) -> np.ndarray:
     which the model lacks.
     """
     w = signals.velocity[:, joint]
-    driven = (signals.voltage[:, joint] - signals.enable[:, joint] * signals.emf[joint] * w
-              ) / signals.volts_per_torque[joint]
+    driven = (signals.voltage[:, joint] - signals.enable[:, joint] * signals.emf[joint] * w) / signals.volts_per_torque[
+        joint
+    ]
     lag = float(signals.lag[joint])
     if lag > 0.0:
         kept = np.full(len(driven), np.exp(-signals.step / lag))
@@ -111,16 +112,21 @@ def on_joint(joint: int, *columns: np.ndarray) -> tuple[dict[int, np.ndarray], .
 
 def visible(columns: tuple[dict[int, np.ndarray], ...]) -> bool:
     """Whether no column is zero all but a few samples."""
-    return all(any(np.count_nonzero(values) > LEAST_SHARE * values.size for values in c.values())
-               for c in columns)
+    return all(any(np.count_nonzero(values) > LEAST_SHARE * values.size for values in c.values()) for c in columns)
 
 
-def candidate(columns, mean, deviation, values, grid=None, unit=TORQUE_COLUMN, fixed=False,
-              tried=1) -> Candidate:
+def candidate(columns, mean, deviation, values, grid=None, unit=TORQUE_COLUMN, fixed=False, tried=1) -> Candidate:
     """A Candidate from sequences."""
-    return Candidate(columns=tuple(columns), unit=unit, mean=np.asarray(mean, float),
-                     deviation=np.asarray(deviation, float), values=values,
-                     grid=dict(grid or {}), fixed=fixed, tried=tried)
+    return Candidate(
+        columns=tuple(columns),
+        unit=unit,
+        mean=np.asarray(mean, float),
+        deviation=np.asarray(deviation, float),
+        values=values,
+        grid=dict(grid or {}),
+        fixed=fixed,
+        tried=tried,
+    )
 
 
 def positive(value: float, what: str, unit: str, most: float = np.inf) -> float:
@@ -156,8 +162,7 @@ def waves(signals: Signals, joint: int, order: float) -> bool:
     return order * (high - low) > 2.0 * np.pi and slow_enough(signals, joint, order)
 
 
-def change_of_voltage(signals: Signals, joint: int, dq, dqd, dqdd,
-                      motor: bool = True) -> dict[int, np.ndarray]:
+def change_of_voltage(signals: Signals, joint: int, dq, dqd, dqdd, motor: bool = True) -> dict[int, np.ndarray]:
     """Voltages {joint: (n,)} by which the model's change when a joint's motion does, to first
     order: dq [rad], dqd [rad/s], dqdd [rad/s^2], (n,) each.
 
@@ -181,8 +186,9 @@ def change_of_voltage(signals: Signals, joint: int, dq, dqd, dqdd,
     return found
 
 
-def wave_numbers(signals: Signals, joint: int, lowest: float, highest: float,
-                 drift: float = 1.0, most: int = 40) -> np.ndarray:
+def wave_numbers(
+    signals: Signals, joint: int, lowest: float, highest: float, drift: float = 1.0, most: int = 40
+) -> np.ndarray:
     """Wave numbers [1/rad] so close that one between two of them is not missed.
 
     drift : phase [rad] by which two neighbours drift apart from the middle of the travelled range
@@ -203,15 +209,14 @@ def warming(signals, joint, column, values, mean, deviation, unit) -> list[Candi
     found = []
     end = float(signals.time[-1])
     for T in _TIME_CONSTANTS:
-        if found and T > 10.0 * end and T > 30.0:
+        if found and 10.0 * end < T and T > 30.0:
             break
         grown = -np.expm1(-np.maximum(signals.time, 0.0) / T)
 
         def with_time(c, T=T):
             return values(c, T)
 
-        found.append(candidate(on_joint(joint, column * grown), mean, deviation, with_time,
-                               {"time_constant": T}, unit))
+        found.append(candidate(on_joint(joint, column * grown), mean, deviation, with_time, {"time_constant": T}, unit))
     return found
 
 

@@ -55,9 +55,13 @@ def asymmetric(values: Mapping[str, float], scale: float) -> np.ndarray:
 
 def stribeck(values: Mapping[str, float], scale: float) -> np.ndarray:
     """Sliding level, excess over it, and velocity."""
-    return np.array([_level(values["sliding"], scale),
-                     _shape(values["torque"], values["sliding"], _EXCESS),
-                     _rate(values["velocity"], VELOCITY)])
+    return np.array(
+        [
+            _level(values["sliding"], scale),
+            _shape(values["torque"], values["sliding"], _EXCESS),
+            _rate(values["velocity"], VELOCITY),
+        ]
+    )
 
 
 def presliding(values: Mapping[str, float], scale: float) -> np.ndarray:
@@ -68,9 +72,13 @@ def presliding(values: Mapping[str, float], scale: float) -> np.ndarray:
 def position(values: Mapping[str, float], scale: float) -> np.ndarray:
     """Mean level, and its variation with the cosine and the sine of the position."""
     mean, amplitude, angle = values["torque"], values["amplitude"], values["angle"]
-    return np.array([_level(mean, scale),
-                     _shape(amplitude * np.cos(angle), mean, _VARIATION),
-                     _shape(amplitude * np.sin(angle), mean, _VARIATION)])
+    return np.array(
+        [
+            _level(mean, scale),
+            _shape(amplitude * np.cos(angle), mean, _VARIATION),
+            _shape(amplitude * np.sin(angle), mean, _VARIATION),
+        ]
+    )
 
 
 def usual_stribeck(level: float) -> dict[str, float]:

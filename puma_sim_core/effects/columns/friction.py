@@ -8,8 +8,19 @@ import numpy as np
 
 from ..screening import TORQUE_COLUMN, Candidate, Illegal, Screening, Signals
 from . import dry_friction
-from .common import (candidate, fastest, is_arm, motor_torque, moves, on_joint, positive, recursion,
-                     smooth_sign, stretches, warming)
+from .common import (
+    candidate,
+    fastest,
+    is_arm,
+    motor_torque,
+    moves,
+    on_joint,
+    positive,
+    recursion,
+    smooth_sign,
+    stretches,
+    warming,
+)
 
 #: more times the middling friction torque than any friction of a machine
 _MOST = 12.0
@@ -39,8 +50,7 @@ def coulomb(signals: Signals, joint: int) -> list[Candidate]:
     def values(c):
         return {"torque": positive(c[0], "level", "N.m", _MOST * scale)}
 
-    return [candidate(on_joint(joint, _direction(signals, joint)), [0.5 * scale], [scale],
-                      values)]
+    return [candidate(on_joint(joint, _direction(signals, joint)), [0.5 * scale], [scale], values)]
 
 
 def asymmetric_coulomb(signals: Signals, joint: int) -> list[Candidate]:
@@ -48,14 +58,15 @@ def asymmetric_coulomb(signals: Signals, joint: int) -> list[Candidate]:
     direction = _direction(signals, joint)
     forth, back = np.maximum(direction, 0.0), np.minimum(direction, 0.0)
     least = 0.02 * direction.size
-    if not moves(signals, joint) or min(np.count_nonzero(forth > 0.5),
-                                        np.count_nonzero(back < -0.5)) < least:
+    if not moves(signals, joint) or min(np.count_nonzero(forth > 0.5), np.count_nonzero(back < -0.5)) < least:
         return []
     scale = float(signals.torque_scale[joint])
 
     def values(c):
-        return {"positive": positive(c[0], "level for qd > 0", "N.m", _MOST * scale),
-                "negative": positive(c[1], "level for qd < 0", "N.m", _MOST * scale)}
+        return {
+            "positive": positive(c[0], "level for qd > 0", "N.m", _MOST * scale),
+            "negative": positive(c[1], "level for qd < 0", "N.m", _MOST * scale),
+        }
 
     return [candidate(on_joint(joint, forth, back), [0.5 * scale] * 2, [scale] * 2, values)]
 
@@ -80,14 +91,22 @@ def stribeck(signals: Signals, joint: int) -> list[Candidate]:
             # a bump may leave so little level that viscous friction takes it, or a name before it
             # has
             level = max(c[0], 0.0) if c[0] > -_SLACK * c[1] else c[0]
-            return {"torque": positive(c[1], "excess over the sliding level", "N.m",
-                                       _MOST * scale),
-                    "velocity": vs,
-                    "sliding": positive(level, "sliding level", "N.m", _MOST * scale)}
+            return {
+                "torque": positive(c[1], "excess over the sliding level", "N.m", _MOST * scale),
+                "velocity": vs,
+                "sliding": positive(level, "sliding level", "N.m", _MOST * scale),
+            }
 
-        bump = np.exp(-(velocity / vs) ** 2) * direction
-        found.append(candidate(on_joint(joint, direction, bump), [0.5 * scale, 0.4 * scale],
-                               [scale, 0.6 * scale], values, {"velocity": float(vs)}))
+        bump = np.exp(-((velocity / vs) ** 2)) * direction
+        found.append(
+            candidate(
+                on_joint(joint, direction, bump),
+                [0.5 * scale, 0.4 * scale],
+                [scale, 0.6 * scale],
+                values,
+                {"velocity": float(vs)},
+            )
+        )
     return found
 
 
@@ -103,13 +122,15 @@ def presliding(signals: Signals, joint: int) -> list[Candidate]:
         grid = grid * min(1.0, float(np.ptp(signals.position[:, joint])))
     found = []
     for zs in grid:
+
         def values(c, zs=float(zs)):
             level = positive(c[0], "sliding level", "N.m", _MOST * scale)
             return {"stiffness": level / zs, "torque": level}
 
         column = bristle(signals, joint, float(zs))
-        found.append(candidate(on_joint(joint, column), [0.5 * scale], [scale], values,
-                               {"yield_deflection": float(zs)}))
+        found.append(
+            candidate(on_joint(joint, column), [0.5 * scale], [scale], values, {"yield_deflection": float(zs)})
+        )
     return found
 
 
@@ -143,11 +164,9 @@ def load_dependent(signals: Signals, joint: int) -> list[Candidate]:
             continue
 
         def values(c, share=share):
-            return {"coefficient": positive(c[0], "coefficient of load friction", "", most),
-                    "transmitted": share}
+            return {"coefficient": positive(c[0], "coefficient of load friction", "", most), "transmitted": share}
 
-        found.append(candidate(on_joint(joint, np.abs(load) * direction), [0.1], [0.1], values,
-                               {"transmitted": share}))
+        found.append(candidate(on_joint(joint, np.abs(load) * direction), [0.1], [0.1], values, {"transmitted": share}))
     return found
 
 
@@ -172,13 +191,11 @@ def position_dependent(signals: Signals, joint: int) -> list[Candidate]:
         amplitude, angle = float(np.hypot(c[1], c[2])), float(np.arctan2(c[2], c[1]))
         level = mean + amplitude * np.cos(visited - angle)
         if level.min() < -0.15 * level.max():
-            raise Illegal(f"negative level {level.min():.3g} N.m at "
-                          f"q = {visited[level.argmin()]:.3g} rad")
+            raise Illegal(f"negative level {level.min():.3g} N.m at q = {visited[level.argmin()]:.3g} rad")
         return {"torque": mean, "amplitude": amplitude, "angle": angle}
 
     columns = on_joint(joint, direction, np.cos(q) * direction, np.sin(q) * direction)
-    return [candidate(columns, [0.5 * scale, 0.0, 0.0], [scale, 0.5 * scale, 0.5 * scale],
-                      values)]
+    return [candidate(columns, [0.5 * scale, 0.0, 0.0], [scale, 0.5 * scale, 0.5 * scale], values)]
 
 
 def quadratic(signals: Signals, joint: int) -> list[Candidate]:
@@ -193,8 +210,7 @@ def quadratic(signals: Signals, joint: int) -> list[Candidate]:
     def values(c):
         return {"coefficient": positive(c[0], "drag coefficient", "N.m.s2/rad2", 20.0 * unit)}
 
-    return [candidate(on_joint(joint, velocity * np.abs(velocity)), [0.3 * unit], [0.6 * unit],
-                      values)]
+    return [candidate(on_joint(joint, velocity * np.abs(velocity)), [0.3 * unit], [0.6 * unit], values)]
 
 
 def warm_up(signals: Signals, joint: int) -> list[Candidate]:
@@ -211,101 +227,116 @@ def warm_up(signals: Signals, joint: int) -> list[Candidate]:
     return warming(signals, joint, column, values, [0.4], [0.3], TORQUE_COLUMN)
 
 
-_NOT_BY_VOLTAGE = ("follows the sign of the velocity, the dead-band that of the voltage: the two "
-                   "differ where gravity drives the joint or brakes it")
+_NOT_BY_VOLTAGE = (
+    "follows the sign of the velocity, the dead-band that of the voltage: the two "
+    "differ where gravity drives the joint or brakes it"
+)
 
 SCREENINGS = {
     "coulomb_friction": Screening(
         coulomb,
         look_alikes=(
             ("voltage_dead_band", "friction " + _NOT_BY_VOLTAGE),
-            ("stribeck_friction", "Coulomb friction is flat in the speed, without a bump at low "
-                                  "speed"),
+            ("stribeck_friction", "Coulomb friction is flat in the speed, without a bump at low speed"),
             ("asymmetric_coulomb_friction", "the step has the same height in both directions"),
             ("load_dependent_friction", "the step does not change with the load"),
             ("position_dependent_friction", "the step does not change with the position"),
-            ("presliding_friction", "the step is sharp in position, without a hysteresis loop at "
-                                    "the reversal"),
-            ("backlash", "the friction lasts as long as the joint moves")),
+            ("presliding_friction", "the step is sharp in position, without a hysteresis loop at the reversal"),
+            ("backlash", "the friction lasts as long as the joint moves"),
+        ),
         excitation="At least six reversals of the joint, with motion at several speeds.",
         plausible=(("torque", 0.4, 40.0),),
-        coordinates=dry_friction.coulomb),
+        coordinates=dry_friction.coulomb,
+    ),
     "asymmetric_coulomb_friction": Screening(
         asymmetric_coulomb,
         look_alikes=(
             ("coulomb_friction", "the step is of another height in each direction"),
-            ("voltage_offset", "an offset also acts at rest and without a step at reversals; with "
-                               "Coulomb friction beside it, it is the same while the joint moves"),
+            (
+                "voltage_offset",
+                "an offset also acts at rest and without a step at reversals; with "
+                "Coulomb friction beside it, it is the same while the joint moves",
+            ),
             ("base_tilt", "the difference of the levels does not turn with the pose"),
             ("joint_spring", "the difference of the levels does not change with the position"),
-            ("stribeck_friction", "the levels differ by direction and do not change with the "
-                                  "speed"),
-            ("voltage_dead_band", "the step follows the sign of the velocity and differs by "
-                                  "direction")),
+            ("stribeck_friction", "the levels differ by direction and do not change with the speed"),
+            ("voltage_dead_band", "the step follows the sign of the velocity and differs by direction"),
+        ),
         excitation="Motion in both directions for about equal times, with many reversals.",
         contains=("coulomb_friction",),
         plausible=(("positive", 0.4, 40.0), ("negative", 0.4, 40.0)),
-        coordinates=dry_friction.asymmetric),
+        coordinates=dry_friction.asymmetric,
+    ),
     "stribeck_friction": Screening(
         stribeck,
         look_alikes=(
-            ("coulomb_friction", "friction rises as the joint slows down below a few times the "
-                                 "Stribeck velocity"),
-            ("presliding_friction", "the bump is one in velocity, not a loop in position after "
-                                    "the reversal"),
+            ("coulomb_friction", "friction rises as the joint slows down below a few times the Stribeck velocity"),
+            ("presliding_friction", "the bump is one in velocity, not a loop in position after the reversal"),
             ("asymmetric_coulomb_friction", "the bump is the same in both directions"),
-            ("backlash", "the bump comes at reversals of the velocity, not of the transmitted "
-                         "torque"),
+            ("backlash", "the bump comes at reversals of the velocity, not of the transmitted torque"),
             ("quadratic_friction", "friction changes at low speed, not at high speed"),
-            ("impulse", "the bump comes back at each slow motion")),
+            ("impulse", "the bump comes back at each slow motion"),
+        ),
         excitation="Crawling at 0.01 to 0.2 rad/s, for example slow triangles of the position.",
         contains=("coulomb_friction",),
         plausible=(("torque", 0.4, 30.0), ("velocity", 0.008, 0.15), ("sliding", 0.0, 40.0)),
         prior=(("velocity", *dry_friction.VELOCITY),),
-        coordinates=dry_friction.stribeck, usual=dry_friction.usual_stribeck),
+        coordinates=dry_friction.stribeck,
+        usual=dry_friction.usual_stribeck,
+    ),
     "presliding_friction": Screening(
         presliding,
         look_alikes=(
-            ("coulomb_friction", "friction turns over with the travel after a reversal, not at "
-                                 "once"),
-            ("backlash", "the loop comes at reversals of the velocity, not of the transmitted "
-                         "torque"),
+            ("coulomb_friction", "friction turns over with the travel after a reversal, not at once"),
+            ("backlash", "the loop comes at reversals of the velocity, not of the transmitted torque"),
             ("joint_elasticity", "the loop depends on the travel, not on the frequency"),
             ("joint_spring", "the restoring torque ends within a milliradian of each reversal"),
-            ("stribeck_friction", "the torque follows the travel since the reversal, not the "
-                                  "speed"),
-            ("soft_stop", "the loop comes after each reversal, at any position")),
+            ("stribeck_friction", "the torque follows the travel since the reversal, not the speed"),
+            ("soft_stop", "the loop comes after each reversal, at any position"),
+        ),
         excitation="Reversals with slow travel of 0.1 to 1 mrad about them.",
         contains=("coulomb_friction",),
         plausible=(("torque", 0.4, 40.0), ("stiffness", 1e3, 1e6)),
         prior=(("stiffness", *dry_friction.STIFFNESS),),
-        coordinates=dry_friction.presliding),
+        coordinates=dry_friction.presliding,
+    ),
     "load_dependent_friction": Screening(
         load_dependent,
         look_alikes=(
-            ("position_dependent_friction", "the step follows the torque that the gear bears, "
-                                            "which other joints and accelerations change "
-                                            "too, not the joint's own position"),
+            (
+                "position_dependent_friction",
+                "the step follows the torque that the gear bears, "
+                "which other joints and accelerations change "
+                "too, not the joint's own position",
+            ),
             ("coulomb_friction", "the step vanishes where the load does"),
-            ("payload", "the torque changes sign with the velocity, a weight's does not")),
+            ("payload", "the torque changes sign with the velocity, a weight's does not"),
+        ),
         excitation="Reversals in many poses and at several accelerations, so that the torque that "
-                   "the gear bears differs between them.",
-        plausible=(("coefficient", 0.02, 0.3),)),
+        "the gear bears differs between them.",
+        plausible=(("coefficient", 0.02, 0.3),),
+    ),
     "position_dependent_friction": Screening(
         position_dependent,
         look_alikes=(
-            ("load_dependent_friction", "the step follows the joint's own position, not the "
-                                        "load; a weight, accelerations, or other angles of the "
-                                        "other joints, separate the two"),
+            (
+                "load_dependent_friction",
+                "the step follows the joint's own position, not the "
+                "load; a weight, accelerations, or other angles of the "
+                "other joints, separate the two",
+            ),
             ("coulomb_friction", "the height of the step changes with the position"),
-            ("sensor_nonlinearity", "the torque is a step at reversals and does not grow with "
-                                    "the speed"),
-            ("torque_ripple", "the torque changes sign with the velocity, and its period is that "
-                              "of the joint, not of the motor")),
+            ("sensor_nonlinearity", "the torque is a step at reversals and does not grow with the speed"),
+            (
+                "torque_ripple",
+                "the torque changes sign with the velocity, and its period is that of the joint, not of the motor",
+            ),
+        ),
         excitation="Reversals over the full range of the joint.",
         contains=("coulomb_friction",),
         plausible=(("amplitude", 0.4, 30.0), ("torque", 0.4, 40.0)),
-        coordinates=dry_friction.position),
+        coordinates=dry_friction.position,
+    ),
     "quadratic_friction": Screening(
         quadratic,
         look_alikes=(
@@ -313,15 +344,21 @@ SCREENINGS = {
             ("supply_droop", "drag does not change with the currents of the joints"),
             ("stribeck_friction", "the curve bends at high speed, not at low speed"),
             ("friction_warm_up", "the drag is the same at the beginning and at the end"),
-            ("current_limit", "the drag comes with the speed, not with great torque")),
+            ("current_limit", "the drag comes with the speed, not with great torque"),
+        ),
         excitation="Speeds above half of the greatest, in both directions.",
-        plausible=(("coefficient", 0.5, 30.0),)),
+        plausible=(("coefficient", 0.5, 30.0),),
+    ),
     "friction_warm_up": Screening(
         warm_up,
         look_alikes=(
-            ("resistance_drift", "the loss follows the speed, not the torque, and a hold against "
-                                 "gravity does not change"),
-            ("quadratic_friction", "friction falls with time at the same speed")),
+            (
+                "resistance_drift",
+                "the loss follows the speed, not the torque, and a hold against gravity does not change",
+            ),
+            ("quadratic_friction", "friction falls with time at the same speed"),
+        ),
         excitation="The same fast motion at the beginning and at the end.",
-        plausible=(("share", 0.1, 0.9), ("time_constant", 1.0, 2000.0))),
+        plausible=(("share", 0.1, 0.9), ("time_constant", 1.0, 2000.0)),
+    ),
 }

@@ -22,8 +22,7 @@ def payload(signals: Signals, joint: int | None) -> list[Candidate]:
         def values(c, z=z):
             return {"mass": positive(c[0], "mass", "kg", 15.0), "x": 0.0, "y": 0.0, "z": z}
 
-        found.append(candidate([{j: torque[:, j] for j in range(signals.joints)}], [1.0], [2.0],
-                               values, {"z": z}))
+        found.append(candidate([{j: torque[:, j] for j in range(signals.joints)}], [1.0], [2.0], values, {"z": z}))
     return found
 
 
@@ -32,12 +31,13 @@ SCREENINGS = {
         payload,
         look_alikes=(
             ("joint_spring", "the torques of all joints keep the ratios of one mass at one place"),
-            ("load_dependent_friction", "a weight pulls the same way in both directions of "
-                                        "motion"),
+            ("load_dependent_friction", "a weight pulls the same way in both directions of motion"),
             ("encoder_offset", "inertia grows with the weight"),
             ("voltage_offset", "the torque changes with the pose"),
             ("resistance_drift", "the torque is the same at the beginning and at the end"),
-            ("soft_stop", "all joints feel the weight, in all poses")),
+            ("soft_stop", "all joints feel the weight, in all poses"),
+        ),
         excitation="All joints in motion, with a forearm that changes its angle.",
-        plausible=(("mass", 0.2, 8.0),)),
+        plausible=(("mass", 0.2, 8.0),),
+    )
 }

@@ -24,8 +24,7 @@ def ripple(signals: Signals, joint: int) -> list[Candidate]:
     found = []
     for order in _ORDERS:
         number = float(order * abs(signals.gear[joint]))
-        if number < 6.0 or number * signals.quantum[joint] > 1.5 or not waves(signals, joint,
-                                                                              number):
+        if number < 6.0 or number * signals.quantum[joint] > 1.5 or not waves(signals, joint, number):
             continue
         # the sign of the ratio is the sign of the motor's angle
         angle = np.remainder(order * float(signals.gear[joint]) * q, 2.0 * np.pi)
@@ -34,11 +33,17 @@ def ripple(signals: Signals, joint: int) -> list[Candidate]:
             amplitude = float(np.hypot(c[0], c[1]))
             if amplitude > 3.0 * scale:
                 raise Illegal(f"amplitude {amplitude:.3g} N.m, more than {3.0 * scale:.3g} N.m")
-            return {"amplitude": amplitude, "order": float(order),
-                    "phase": float(np.arctan2(c[1], c[0]))}
+            return {"amplitude": amplitude, "order": float(order), "phase": float(np.arctan2(c[1], c[0]))}
 
-        found.append(candidate(on_joint(joint, np.sin(angle), np.cos(angle)), [0.0, 0.0],
-                               [0.3 * scale] * 2, values, {"order": float(order)}))
+        found.append(
+            candidate(
+                on_joint(joint, np.sin(angle), np.cos(angle)),
+                [0.0, 0.0],
+                [0.3 * scale] * 2,
+                values,
+                {"order": float(order)},
+            )
+        )
     return found
 
 
@@ -56,19 +61,24 @@ SCREENINGS = {
     "torque_ripple": Screening(
         ripple,
         look_alikes=(
-            ("transmission_error", "the waves are tied to the motor's turns, and their torque "
-                                   "does not grow with speed or load"),
+            (
+                "transmission_error",
+                "the waves are tied to the motor's turns, and their torque does not grow with speed or load",
+            ),
             ("sensor_nonlinearity", "the waves do not grow with the speed"),
-            ("position_dependent_friction", "the waves do not change sign with the velocity")),
+            ("position_dependent_friction", "the waves do not change sign with the velocity"),
+        ),
         excitation="Slow constant speeds, so that the waves pass at less than 12 Hz.",
-        plausible=(("amplitude", 0.3, 10.0),)),
+        plausible=(("amplitude", 0.3, 10.0),),
+    ),
     "resistance_drift": Screening(
         drift,
         look_alikes=(
-            ("friction_warm_up", "the growth follows the torque, also at rest against gravity, "
-                                 "not the speed"),
+            ("friction_warm_up", "the growth follows the torque, also at rest against gravity, not the speed"),
             ("supply_droop", "the loss grows with time and follows the joint's own torque"),
-            ("payload", "the torque seems to grow with time")),
+            ("payload", "the torque seems to grow with time"),
+        ),
         excitation="Long holds against gravity, and the same motion at the beginning and the end.",
-        plausible=(("share", 0.05, 0.5), ("time_constant", 1.0, 600.0))),
+        plausible=(("share", 0.05, 0.5), ("time_constant", 1.0, 600.0)),
+    ),
 }

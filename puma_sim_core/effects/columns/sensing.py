@@ -11,8 +11,18 @@ from __future__ import annotations
 import numpy as np
 
 from ..screening import TORQUE_COLUMN, VOLTAGE_COLUMN, Candidate, Illegal, Screening, Signals
-from .common import (bounded, candidate, change_of_voltage, derivative, moves, positive,
-                     slow_enough, visible, wave_numbers, whole_range)
+from .common import (
+    bounded,
+    candidate,
+    change_of_voltage,
+    derivative,
+    moves,
+    positive,
+    slow_enough,
+    visible,
+    wave_numbers,
+    whole_range,
+)
 
 #: greatest and least period of a sensor's error, in ranges of the joint: 6 and 0.3 rad on the arm
 _LONGEST, _SHORTEST = 1.1, 0.055
@@ -26,8 +36,7 @@ def lag(signals: Signals, joint: int) -> list[Candidate]:
     if not moves(signals, joint):
         return []
     velocity, acceleration = signals.velocity[:, joint], signals.acceleration[:, joint]
-    column = change_of_voltage(signals, joint, velocity, acceleration,
-                               derivative(acceleration, signals))
+    column = change_of_voltage(signals, joint, velocity, acceleration, derivative(acceleration, signals))
 
     def values(c):
         return {"time_constant": positive(c[0], "lag", "s", 0.1)}
@@ -42,8 +51,7 @@ def offset(signals: Signals, joint: int) -> list[Candidate]:
     slope = signals.position_gradient[:, :, joint]
     seen = {i: -slope[:, i] for i in range(signals.joints) if np.abs(slope[:, i]).max() > 0.0}
     # a torque that does not know the joint's position, or hardly, shows no offset of it
-    if not seen or max(0.3 * np.abs(slope[:, i]).max() / signals.torque_scale[i]
-                       for i in seen) < 0.02:
+    if not seen or max(0.3 * np.abs(slope[:, i]).max() / signals.torque_scale[i] for i in seen) < 0.02:
         return []
 
     def values(c):
@@ -60,8 +68,9 @@ def nonlinearity(signals: Signals, joint: int) -> list[Candidate]:
     unit = _ERROR * (high - low)
     q, qd = signals.position[:, joint], signals.velocity[:, joint]
     found = []
-    for number in wave_numbers(signals, joint, 2.0 * np.pi / (_LONGEST * (high - low)),
-                               2.0 * np.pi / (_SHORTEST * (high - low)), drift=0.65):
+    for number in wave_numbers(
+        signals, joint, 2.0 * np.pi / (_LONGEST * (high - low)), 2.0 * np.pi / (_SHORTEST * (high - low)), drift=0.65
+    ):
         if not slow_enough(signals, joint, number):
             continue
         period = float(2.0 * np.pi / number)
@@ -69,55 +78,61 @@ def nonlinearity(signals: Signals, joint: int) -> list[Candidate]:
         def values(c, period=period):
             amplitude = float(np.hypot(c[0], c[1]))
             if amplitude > 20.0 * unit or 2.0 * np.pi * amplitude >= period:
-                raise Illegal(f"error {amplitude:.3g} rad of a sensor with period {period:.3g} "
-                              "rad")
-            return {"amplitude": amplitude, "period": period,
-                    "phase": float(np.arctan2(c[1], c[0]))}
+                raise Illegal(f"error {amplitude:.3g} rad of a sensor with period {period:.3g} rad")
+            return {"amplitude": amplitude, "period": period, "phase": float(np.arctan2(c[1], c[0]))}
 
-        columns = [change_of_voltage(signals, joint, *(-part for part in motion))
-                   for motion in wave_motion(q, qd, signals.acceleration[:, joint], number)]
+        columns = [
+            change_of_voltage(signals, joint, *(-part for part in motion))
+            for motion in wave_motion(q, qd, signals.acceleration[:, joint], number)
+        ]
         if visible(tuple(columns)):
-            found.append(candidate(columns, [0.0, 0.0], [unit, unit], values,
-                                   {"period": period}, VOLTAGE_COLUMN))
+            found.append(candidate(columns, [0.0, 0.0], [unit, unit], values, {"period": period}, VOLTAGE_COLUMN))
     return found
 
 
 def wave_motion(q, qd, qdd, number):
     """(value, rate, acceleration) of sin(number q), and of cos(number q)."""
     s, c = np.sin(number * q), np.cos(number * q)
-    first, second = number * qd, number ** 2 * qd ** 2
-    return ((s, c * first, number * c * qdd - s * second),
-            (c, -s * first, -number * s * qdd - c * second))
+    first, second = number * qd, number**2 * qd**2
+    return ((s, c * first, number * c * qdd - s * second), (c, -s * first, -number * s * qdd - c * second))
 
 
 SCREENINGS = {
     "sensor_lag": Screening(
         lag,
         look_alikes=(
-            ("input_delay", "the shift is the joint's own and its phase bends with the frequency; "
-                            "below a third of the cut-off a lag and a delay are the same"),
+            (
+                "input_delay",
+                "the shift is the joint's own and its phase bends with the frequency; "
+                "below a third of the cut-off a lag and a delay are the same",
+            ),
             ("joint_elasticity", "the shift has no resonance"),
-            ("sensor_nonlinearity", "the error follows the speed, not the place")),
+            ("sensor_nonlinearity", "the error follows the speed, not the place"),
+        ),
         excitation="A dither above a third of the cut-off frequency.",
-        plausible=(("time_constant", 0.001, 0.035),), fast=True),
+        plausible=(("time_constant", 0.001, 0.035),),
+        fast=True,
+    ),
     "encoder_offset": Screening(
         offset,
         look_alikes=(
             ("payload", "the torque is the slope of gravity's: in quadrature with a weight's"),
             ("base_tilt", "the error turns with the joint, and joint 1 feels no gravity"),
             ("joint_spring", "the torque follows the slope of gravity's torque, not the position"),
-            ("voltage_offset", "the torque follows the slope of gravity's torque")),
+            ("voltage_offset", "the torque follows the slope of gravity's torque"),
+        ),
         excitation="Many poses with different torques of gravity.",
-        plausible=(("angle", 0.001, 0.05),)),
+        plausible=(("angle", 0.001, 0.05),),
+    ),
     "sensor_nonlinearity": Screening(
         nonlinearity,
         look_alikes=(
-            ("position_dependent_friction", "the error grows with the speed, without a step at "
-                                            "reversals"),
-            ("transmission_error", "the error goes with back-EMF, so with the speed, more than "
-                                   "with load and inertia"),
+            ("position_dependent_friction", "the error grows with the speed, without a step at reversals"),
+            ("transmission_error", "the error goes with back-EMF, so with the speed, more than with load and inertia"),
             ("torque_ripple", "the waves vanish at rest"),
-            ("sensor_lag", "the error follows the place, not the speed alone")),
+            ("sensor_lag", "the error follows the place, not the speed alone"),
+        ),
         excitation="The same places at different speeds.",
-        plausible=(("amplitude", 0.0002, 0.02), ("period", 0.3, 7.0))),
+        plausible=(("amplitude", 0.0002, 0.02), ("period", 0.3, 7.0)),
+    ),
 }

@@ -30,8 +30,7 @@ def soft_stop(signals: Signals, joint: int) -> list[Candidate]:
             pressed = float(depth) * (high - low)
             place = high - pressed if upper else low + pressed
             column = np.maximum(q - place, 0.0) if upper else np.minimum(q - place, 0.0)
-            if (pressed <= _COUNTS * signals.quantum[joint]
-                    or np.count_nonzero(column) < _SAMPLES):
+            if pressed <= _COUNTS * signals.quantum[joint] or np.count_nonzero(column) < _SAMPLES:
                 continue
             ends = {"upper": place} if upper else {"lower": place}
             # the stop of the other side stands where the joint's range ends, or beyond the motion
@@ -41,13 +40,13 @@ def soft_stop(signals: Signals, joint: int) -> list[Candidate]:
                 ends["upper"] = high + (high - low)
 
             def values(c, ends=ends):
-                return {**ends, "stiffness": positive(c[0], "stiffness", "N.m/rad", 1e6),
-                        "damping": 0.0}
+                return {**ends, "stiffness": positive(c[0], "stiffness", "N.m/rad", 1e6), "damping": 0.0}
 
             # the deepest press takes a few middling friction torques
             unit = scale / pressed
-            found.append(candidate(on_joint(joint, column), [unit], [2.0 * unit], values,
-                                   {"upper" if upper else "lower": place}))
+            found.append(
+                candidate(on_joint(joint, column), [unit], [2.0 * unit], values, {"upper" if upper else "lower": place})
+            )
     return found
 
 
@@ -55,16 +54,18 @@ SCREENINGS = {
     "soft_stop": Screening(
         soft_stop,
         look_alikes=(
-            ("joint_spring", "the torque begins with a kink at one position; seen only from "
-                             "inside, a stop is a spring"),
+            (
+                "joint_spring",
+                "the torque begins with a kink at one position; seen only from inside, a stop is a spring",
+            ),
             ("payload", "the torque stays on its joint and is zero before the kink"),
-            ("presliding_friction", "the torque comes back at the same position, not after each "
-                                    "reversal"),
-            ("impulse", "the torque comes back whenever the joint comes back to the same "
-                        "position")),
+            ("presliding_friction", "the torque comes back at the same position, not after each reversal"),
+            ("impulse", "the torque comes back whenever the joint comes back to the same position"),
+        ),
         excitation="Motion into the ends of the range, and well away from them.",
         # seen only from inside it is one
         contains=("joint_spring",),
         # softer is a spring, or a cable, and begins nowhere
-        plausible=(("stiffness", 100.0, 1e5),)),
+        plausible=(("stiffness", 100.0, 1e5),),
+    )
 }

@@ -14,8 +14,17 @@ import numpy as np
 
 from ...backend import compiled
 from ..screening import VOLTAGE_COLUMN, Candidate, Illegal, Screening, Signals
-from .common import (candidate, change_of_voltage, is_arm, moves, slow_enough, stretches,
-                     torque_volts, visible, wave_numbers)
+from .common import (
+    candidate,
+    change_of_voltage,
+    is_arm,
+    moves,
+    slow_enough,
+    stretches,
+    torque_volts,
+    visible,
+    wave_numbers,
+)
 from .sensing import wave_motion
 
 #: part of Ia that turns with the rotor (the kinds' default)
@@ -58,9 +67,17 @@ def elasticity(signals: Signals, joint: int) -> list[Candidate]:
                 return {"stiffness": stiffness, "damping": damping}
 
             passed = shaft_torque(signals, torque, inertia, stiffness, damping)
-            found.append(candidate([on_links(signals, joint, passed - torque, inertia)], [1.0],
-                                   [0.12], values, {"stiffness": stiffness, "damping": damping},
-                                   VOLTAGE_COLUMN, fixed=True))
+            found.append(
+                candidate(
+                    [on_links(signals, joint, passed - torque, inertia)],
+                    [1.0],
+                    [0.12],
+                    values,
+                    {"stiffness": stiffness, "damping": damping},
+                    VOLTAGE_COLUMN,
+                    fixed=True,
+                )
+            )
     return found
 
 
@@ -79,14 +96,14 @@ def backlash(signals: Signals, joint: int) -> list[Candidate]:
     contact = {"stiffness": float(stiffness), "damping": float(damping)}
     found = []
     for gap in gaps:
+
         def values(c, gap=float(gap)):
             return {"gap": gap, **contact}
 
         passed = tooth_torque(signals, torque, inertia, float(gap), stiffness, damping)
         column = on_links(signals, joint, passed - torque, inertia)
         if visible((column,)):
-            found.append(candidate([column], [1.0], [0.15], values, {"gap": float(gap)},
-                                   VOLTAGE_COLUMN, fixed=True))
+            found.append(candidate([column], [1.0], [0.15], values, {"gap": float(gap)}, VOLTAGE_COLUMN, fixed=True))
     return found
 
 
@@ -94,8 +111,7 @@ def transmission_error(signals: Signals, joint: int) -> list[Candidate]:
     """Change of the voltage by a link at q + sin(n q) and at q + cos(n q), for a grid of n."""
     if not moves(signals, joint):
         return []
-    unit = _ERROR if is_arm(signals) else _ERROR * min(1.0, float(
-        np.ptp(signals.position[:, joint])))
+    unit = _ERROR if is_arm(signals) else _ERROR * min(1.0, float(np.ptp(signals.position[:, joint])))
     q, qd = signals.position[:, joint], signals.velocity[:, joint]
     link = signals.link_torque[:, joint]
     found = []
@@ -116,8 +132,7 @@ def transmission_error(signals: Signals, joint: int) -> list[Candidate]:
             return {"amplitude": amplitude, "order": order, "phase": float(np.arctan2(c[1], c[0]))}
 
         if visible(tuple(columns)):
-            found.append(candidate(columns, [0.0, 0.0], [unit, unit], values,
-                                   {"order": float(order)}, VOLTAGE_COLUMN))
+            found.append(candidate(columns, [0.0, 0.0], [unit, unit], values, {"order": float(order)}, VOLTAGE_COLUMN))
     return found
 
 
@@ -130,8 +145,7 @@ def link_side(signals: Signals, joint: int) -> tuple[np.ndarray, np.ndarray]:
     return np.maximum(inertia, least), torque
 
 
-def on_links(signals: Signals, joint: int, torque: np.ndarray,
-              inertia: np.ndarray) -> dict[int, np.ndarray]:
+def on_links(signals: Signals, joint: int, torque: np.ndarray, inertia: np.ndarray) -> dict[int, np.ndarray]:
     """Voltages of a torque that the joint's link gets besides the rigid one; its acceleration,
     torque / inertia, shakes the other joints."""
     found = {joint: torque_volts(signals, joint, torque)}
@@ -151,15 +165,16 @@ def shaft_torque(signals: Signals, torque, inertia, stiffness: float, damping: f
     """
     step = signals.step
     decay = damping / (2.0 * inertia)
-    turn = np.sqrt(np.maximum(stiffness / inertia - decay ** 2, 1e-12))
+    turn = np.sqrt(np.maximum(stiffness / inertia - decay**2, 1e-12))
     shrunk = np.exp(-decay * step)
     s, c = shrunk * np.sin(turn * step) / turn, shrunk * np.cos(turn * step)
     flow = np.stack([c + decay * s, s, -(stiffness / inertia) * s, c - decay * s], axis=1)
     out = np.empty_like(torque)
     for part in stretches(signals):
         static = np.ascontiguousarray(torque[part]) / stiffness
-        twist, rate = _swing(np.ascontiguousarray(flow[part]), static, step, damping / stiffness,
-                             _beginning(signals, static))
+        twist, rate = _swing(
+            np.ascontiguousarray(flow[part]), static, step, damping / stiffness, _beginning(signals, static)
+        )
         out[part] = stiffness * twist + damping * rate
     return out
 
@@ -196,15 +211,22 @@ def tooth_torque(signals: Signals, torque, inertia, gap: float, stiffness: float
     parts = max(int(ceil(signals.step * fastest / 0.12)), 1)
     out = np.empty_like(torque)
     for part in stretches(signals):
-        out[part] = _knock(np.ascontiguousarray(torque[part]),
-                           np.ascontiguousarray(inertia[part]), signals.step / parts, parts,
-                           0.5 * gap, stiffness, damping, _beginning(signals, torque[part]))
+        out[part] = _knock(
+            np.ascontiguousarray(torque[part]),
+            np.ascontiguousarray(inertia[part]),
+            signals.step / parts,
+            parts,
+            0.5 * gap,
+            stiffness,
+            damping,
+            _beginning(signals, torque[part]),
+        )
     return out
 
 
 def _beginning(signals: Signals, values: np.ndarray) -> float:
     """Value that a stretch begins with: where filters end, the first sample alone is a poor one."""
-    return float(values[:max(int(round(_BEGINNING / signals.step)), 1)].mean())
+    return float(values[: max(int(round(_BEGINNING / signals.step)), 1)].mean())
 
 
 @compiled
@@ -238,37 +260,43 @@ SCREENINGS = {
         transmission_error,
         look_alikes=(
             ("torque_ripple", "the torque grows with load, speed and acceleration"),
-            ("sensor_nonlinearity", "the motor's back-EMF has no part in it: the error is in the "
-                                    "link's position, not in the measured one")),
+            (
+                "sensor_nonlinearity",
+                "the motor's back-EMF has no part in it: the error is in the link's position, not in the measured one",
+            ),
+        ),
         excitation="The same range at two speeds, with load.",
-        plausible=(("amplitude", 5e-5, 3e-3), ("order", 1.0, 40.0)), fast=True),
+        plausible=(("amplitude", 5e-5, 3e-3), ("order", 1.0, 40.0)),
+        fast=True,
+    ),
     "joint_elasticity": Screening(
         elasticity,
         look_alikes=(
             ("input_delay", "the link swings at a frequency of its own, on this joint"),
             ("sensor_lag", "the link swings at a frequency of its own"),
-            ("backlash", "the shaft twists in proportion to the torque, also without a change of "
-                         "its sign"),
-            ("presliding_friction", "the twist follows the transmitted torque, not the travel "
-                                    "after a reversal")),
+            ("backlash", "the shaft twists in proportion to the torque, also without a change of its sign"),
+            ("presliding_friction", "the twist follows the transmitted torque, not the travel after a reversal"),
+        ),
         excitation="A dither or chirp up to 15 Hz, best without feedback.",
-        plausible=(("stiffness", 2e3, 1e5),), fast=True),
+        plausible=(("stiffness", 2e3, 1e5),),
+        fast=True,
+    ),
     "backlash": Screening(
         backlash,
         look_alikes=(
             ("impulse", "the knocks come at each change of sign of the transmitted torque"),
-            ("joint_elasticity", "the link swings only where the transmitted torque changes its "
-                                 "sign"),
-            ("presliding_friction", "the knocks come where the transmitted torque changes its "
-                                    "sign, not the velocity"),
+            ("joint_elasticity", "the link swings only where the transmitted torque changes its sign"),
+            ("presliding_friction", "the knocks come where the transmitted torque changes its sign, not the velocity"),
             ("coulomb_friction", "nothing is lost between the knocks"),
-            ("stribeck_friction", "the knocks come at changes of sign of the transmitted torque, "
-                                  "not at low speed")),
+            ("stribeck_friction", "the knocks come at changes of sign of the transmitted torque, not at low speed"),
+        ),
         excitation="Changes of sign of the torque at the link: bang-bang on joint 1, upright or "
-                   "hanging links on joints 2 and 3.",
-        plausible=(("gap", 5e-5, 5e-3),), fast=True,
+        "hanging links on joints 2 and 3.",
+        plausible=(("gap", 5e-5, 5e-3),),
+        fast=True,
         unseen=(("gap", 2e-4), ("stiffness", 5e5), ("damping", 150.0)),
         # a knock is over long before the next row: what is left of it tells the energy that it
         # took, which many a pair of stiffness and damping takes
-        prior=(("stiffness", 5e5, 2.5), ("damping", 150.0, 2.5))),
+        prior=(("stiffness", 5e5, 2.5), ("damping", 150.0, 2.5)),
+    ),
 }

@@ -49,14 +49,20 @@ def jerk_6_2(q, qd, qdd, v, slips=()):
 def _matrix(*slips):
     def evidence():
         arm = nominal()
-        states = [(q, qd, acceleration_from_current(q, qd, i, arm, VISCOUS), v)
-                  for q, qd, i, v in zip(POSES, RATES, _CURRENTS, _VOLTS)]
-        return Evidence("third derivative of the joint angles", "rad/s^3",
-                        "flow of the states (q, qd, i) by the complex step",
-                        np.array([jerk_of_currents(q, qd, i, v) for q, qd, i, v
-                                  in zip(POSES, RATES, _CURRENTS, _VOLTS)]),
-                        np.array([jerk_6_2(*s) for s in states]),
-                        np.array([jerk_6_2(*s, slips=slips) for s in states]), 1e-7)
+        states = [
+            (q, qd, acceleration_from_current(q, qd, i, arm, VISCOUS), v)
+            for q, qd, i, v in zip(POSES, RATES, _CURRENTS, _VOLTS)
+        ]
+        return Evidence(
+            "third derivative of the joint angles",
+            "rad/s^3",
+            "flow of the states (q, qd, i) by the complex step",
+            np.array([jerk_of_currents(q, qd, i, v) for q, qd, i, v in zip(POSES, RATES, _CURRENTS, _VOLTS)]),
+            np.array([jerk_6_2(*s) for s in states]),
+            np.array([jerk_6_2(*s, slips=slips) for s in states]),
+            1e-7,
+        )
+
     return evidence
 
 
@@ -64,8 +70,7 @@ def rates(state, v):
     """x' of x = (q, qd, i), (9,), real or complex."""
     q, qd, current = state[:3], state[3:6], state[6:]
     arm = nominal()
-    return np.concatenate([qd, acceleration_from_current(q, qd, current, arm),
-                           current_rate(qd, current, v, arm)])
+    return np.concatenate([qd, acceleration_from_current(q, qd, current, arm), current_rate(qd, current, v, arm)])
 
 
 def jacobian(state, v) -> np.ndarray:
@@ -91,8 +96,7 @@ def stability_limit(eigenvalues, order: int = 4) -> float:
     # growth above 1 at a step means growth above 1 at all greater ones here
     while high - low > 1e-9:
         middle = (low + high) / 2
-        low, high = ((middle, high) if growth(eigenvalues, middle, order) <= 1.0
-                     else (low, middle))
+        low, high = (middle, high) if growth(eigenvalues, middle, order) <= 1.0 else (low, middle)
     return low
 
 
@@ -103,17 +107,28 @@ def _eigenvalues():
 
 def _fifty_milliseconds():
     values = _eigenvalues()
-    return Evidence("growth of a decaying mode in one step of RK4", "",
-                    "a decaying mode must not grow", Between(0.0, 1.0), growth(values, 0.005),
-                    growth(values, 0.050))
+    return Evidence(
+        "growth of a decaying mode in one step of RK4",
+        "",
+        "a decaying mode must not grow",
+        Between(0.0, 1.0),
+        growth(values, 0.005),
+        growth(values, 0.050),
+    )
 
 
 def _thirty_five_microseconds():
     motor = nominal().motors[0]
     limit = stability_limit(np.array([-motor.resistance / motor.inductance]))
-    return Evidence("greatest useful step of RK4", "ms",
-                    "step at which the decay with L/R starts to grow", 1e3 * limit, 8.4, 0.035,
-                    0.05)
+    return Evidence(
+        "greatest useful step of RK4",
+        "ms",
+        "step at which the decay with L/R starts to grow",
+        1e3 * limit,
+        8.4,
+        0.035,
+        0.05,
+    )
 
 
 def _inputs_within_a_step():
@@ -129,10 +144,17 @@ def _inputs_within_a_step():
         k3 = rates(start + h / 2 * k2, middle)
         k4 = rates(start + h * k3, end)
         return (start + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4))[6:]
-    exact = solve_ivp(lambda t, x: rates(x, here), (0, h), start, method="DOP853", rtol=1e-12,
-                      atol=1e-12).y[6:, -1]
-    return Evidence("motor currents after a step of 1 ms", "A", "adaptive integration (DOP853)",
-                    exact, step(here, here), step((here + there) / 2, there), 1e-3)
+
+    exact = solve_ivp(lambda t, x: rates(x, here), (0, h), start, method="DOP853", rtol=1e-12, atol=1e-12).y[6:, -1]
+    return Evidence(
+        "motor currents after a step of 1 ms",
+        "A",
+        "adaptive integration (DOP853)",
+        exact,
+        step(here, here),
+        step((here + there) / 2, there),
+        1e-3,
+    )
 
 
 def _input_slope():
@@ -143,8 +165,15 @@ def _input_slope():
         v = np.array(_VOLTS[0], dtype=complex)
         v[k] += 1j * _STEP
         slope.append(current_rate(qd, current, v, nominal())[k].imag / _STEP)
-    return Evidence("derivative of di/dt to the voltage", "A/(V.s)", "complex step", slope,
-                    [1 / m.inductance for m in nominal().motors], np.zeros(3), 1e-9)
+    return Evidence(
+        "derivative of di/dt to the voltage",
+        "A/(V.s)",
+        "complex step",
+        slope,
+        [1 / m.inductance for m in nominal().motors],
+        np.zeros(3),
+        1e-9,
+    )
 
 
 def locked_inertias(q):
@@ -163,9 +192,15 @@ def _overwriting():
         others = np.eye(3)[[j for j in range(3) if j != i]]
         system = np.block([[mass, others.T], [others, np.zeros((2, 2))]])
         held.append(1.0 / np.linalg.solve(system, np.eye(5)[i])[i])
-    return Evidence("inertia of joints 1, 2, 3 with the others locked, arm upright", "kg.m^2",
-                    "constraint torques as unknowns (Lagrange multipliers)", held, right,
-                    overwritten, 1e-10)
+    return Evidence(
+        "inertia of joints 1, 2, 3 with the others locked, arm upright",
+        "kg.m^2",
+        "constraint torques as unknowns (Lagrange multipliers)",
+        held,
+        right,
+        overwritten,
+        1e-10,
+    )
 
 
 def smallest_eigenvalue_of_d() -> float:
@@ -178,81 +213,130 @@ def smallest_eigenvalue_of_d() -> float:
 
 def _positive_definite():
     q = np.array([0.0, np.pi / 2, -np.pi / 2])
-    return Evidence("smallest eigenvalue of D over all poses", "kg.m^2",
-                    "independent D at q2 = 90, q3 = -90 deg",
-                    float(np.linalg.eigvalsh(reference.inertia(q))[0]), smallest_eigenvalue_of_d(),
-                    0.0, 1e-3)
+    return Evidence(
+        "smallest eigenvalue of D over all poses",
+        "kg.m^2",
+        "independent D at q2 = 90, q3 = -90 deg",
+        float(np.linalg.eigvalsh(reference.inertia(q))[0]),
+        smallest_eigenvalue_of_d(),
+        0.0,
+        1e-3,
+    )
 
 
 def _sufficient():
     matrix = np.array([[1.0, -0.9, -0.9], [-0.9, 1.0, -0.9], [-0.9, -0.9, 1.0]])
-    conditions = all(matrix[i, i] > 0 and (i == j or matrix[i, j]**2 < matrix[i, i] * matrix[j, j])
-                     for i in range(3) for j in range(3))
+    conditions = all(
+        matrix[i, i] > 0 and (i == j or matrix[i, j] ** 2 < matrix[i, i] * matrix[j, j])
+        for i in range(3)
+        for j in range(3)
+    )
     names = {True: "positive definite", False: "not positive definite"}
     ones = np.ones(3)
-    return Evidence("a matrix with 1 on its diagonal and -0.9 elsewhere", "",
-                    "x'Ax for x = (1, 1, 1)", names[bool(ones @ matrix @ ones > 0)],
-                    names[bool(np.linalg.eigvalsh(matrix)[0] > 0)], names[conditions])
+    return Evidence(
+        "a matrix with 1 on its diagonal and -0.9 elsewhere",
+        "",
+        "x'Ax for x = (1, 1, 1)",
+        names[bool(ones @ matrix @ ones > 0)],
+        names[bool(np.linalg.eigvalsh(matrix)[0] > 0)],
+        names[conditions],
+    )
 
 
 def _squares():
     """The condition at the pose of the first state: can all pairs meet it?"""
     d = reference.inertia(np.zeros(3)) + np.diag(nominal().motor_inertia)
     pairs = [(i, j) for i in range(3) for j in range(3) if i != j]
-    return Evidence("pairs (i, j) that meet the condition, D + Ia at q = 0", "",
-                    "minors of two rows that are positive",
-                    sum(bool(np.linalg.det(d[np.ix_(p, p)]) > 0) for p in map(list, pairs)),
-                    sum(bool(d[i, j]**2 < d[i, i] * d[j, j]) for i, j in pairs),
-                    sum(bool(d[i, i]**2 < d[i, i] * d[j, j]) for i, j in pairs))
+    return Evidence(
+        "pairs (i, j) that meet the condition, D + Ia at q = 0",
+        "",
+        "minors of two rows that are positive",
+        sum(bool(np.linalg.det(d[np.ix_(p, p)]) > 0) for p in map(list, pairs)),
+        sum(bool(d[i, j] ** 2 < d[i, i] * d[j, j]) for i, j in pairs),
+        sum(bool(d[i, i] ** 2 < d[i, i] * d[j, j]) for i, j in pairs),
+    )
 
 
 def _scaled_identity():
     arm = nominal()
     true = np.array([m.inductance / (m.back_emf * m.gear_ratio) for m in arm.motors])
     lkmat = np.array([m.inductance for m in arm.motors]) / joint_torque_per_ampere(arm)
-    return Evidence("diagonal of LKMAT, relative to its first element", "",
-                    "back-emf constants at the joints (ke N)", true / true[0], lkmat / lkmat[0],
-                    np.ones(3), 1e-9)
+    return Evidence(
+        "diagonal of LKMAT, relative to its first element",
+        "",
+        "back-emf constants at the joints (ke N)",
+        true / true[0],
+        lkmat / lkmat[0],
+        np.ones(3),
+        1e-9,
+    )
 
 
 ROWS = (
-    Erratum("6.2 fifty", "sections 6.2.1 and 6.5, step", "h = 0.05 (50 mS) is accurate",
-            "5 ms is the likely meaning", _fifty_milliseconds,
-            "L/R is 3 ms; RK4 is stable up to 8.4 ms. 40 mS beside it would be 4 ms."),
-    Erratum("6.2 thirty-five", "section 6.2.1, greatest step", "0.035 mS",
-            "8.4 ms, where RK4 stops being stable", _thirty_five_microseconds,
-            "It contradicts the 50 mS of the sentence before; no one factor mends both."),
-    Erratum("6.8 input", "equations 6.8 to 6.10, input within a step", "v at r + 0.5 and r + 1",
-            "v_r throughout, since it is held", _inputs_within_a_step,
-            "Section 6.1 and appendix B hold the input over the step."),
-    Erratum("6.2 lock", "section 6.2.1, constrained joints",
-            "integrate without constraint, then overwrite the joint's state",
-            "take the joint's row and column out", _overwriting,
-            "A mistake of method: the other joints answer with the inertia of a free chain."),
-    Erratum("6.3 squares", "section 6.3, second condition", "d_ii^2 < d_ii d_jj",
-            "d_ij^2 < d_ii d_jj", _squares),
-    Erratum("6.3 conditions", "section 6.3, proof", "the two conditions make D positive definite",
-            "they are necessary, not sufficient", _sufficient),
-    Erratum("6.3 definite", "section 6.3, D without motor inertias", "positive definite",
-            "not definite: its smallest eigenvalue is -0.405 kg.m^2", _positive_definite,
-            "With zero products of inertia link 2 is no possible body. D + Ia is positive definite "
-            "for this set, 0.760 kg.m^2 at least; that must be computed, it does not follow."),
-    Erratum("6.3 LKMAT", "section 6.3, LKMAT", "a scaled identity matrix",
-            "L / (N kt): three different elements", _scaled_identity,
-            "True of the printed F = kt i only; the gear ratios differ."),
-    Erratum("6.4 LMAT sign", "section 6.4, second equation 6.2", "+ LMAT", "- LMAT",
-            _matrix("LMAT sign")),
-    Erratum("6.4 LMAT rate", "section 6.4, LMAT", "L D_i + R D_i", "L dG_i/dt + R G_i",
-            _matrix("LMAT rate")),
+    Erratum(
+        "6.2 fifty",
+        "sections 6.2.1 and 6.5, step",
+        "h = 0.05 (50 mS) is accurate",
+        "5 ms is the likely meaning",
+        _fifty_milliseconds,
+        "L/R is 3 ms; RK4 is stable up to 8.4 ms. 40 mS beside it would be 4 ms.",
+    ),
+    Erratum(
+        "6.2 thirty-five",
+        "section 6.2.1, greatest step",
+        "0.035 mS",
+        "8.4 ms, where RK4 stops being stable",
+        _thirty_five_microseconds,
+        "It contradicts the 50 mS of the sentence before; no one factor mends both.",
+    ),
+    Erratum(
+        "6.8 input",
+        "equations 6.8 to 6.10, input within a step",
+        "v at r + 0.5 and r + 1",
+        "v_r throughout, since it is held",
+        _inputs_within_a_step,
+        "Section 6.1 and appendix B hold the input over the step.",
+    ),
+    Erratum(
+        "6.2 lock",
+        "section 6.2.1, constrained joints",
+        "integrate without constraint, then overwrite the joint's state",
+        "take the joint's row and column out",
+        _overwriting,
+        "A mistake of method: the other joints answer with the inertia of a free chain.",
+    ),
+    Erratum("6.3 squares", "section 6.3, second condition", "d_ii^2 < d_ii d_jj", "d_ij^2 < d_ii d_jj", _squares),
+    Erratum(
+        "6.3 conditions",
+        "section 6.3, proof",
+        "the two conditions make D positive definite",
+        "they are necessary, not sufficient",
+        _sufficient,
+    ),
+    Erratum(
+        "6.3 definite",
+        "section 6.3, D without motor inertias",
+        "positive definite",
+        "not definite: its smallest eigenvalue is -0.405 kg.m^2",
+        _positive_definite,
+        "With zero products of inertia link 2 is no possible body. D + Ia is positive definite "
+        "for this set, 0.760 kg.m^2 at least; that must be computed, it does not follow.",
+    ),
+    Erratum(
+        "6.3 LKMAT",
+        "section 6.3, LKMAT",
+        "a scaled identity matrix",
+        "L / (N kt): three different elements",
+        _scaled_identity,
+        "True of the printed F = kt i only; the gear ratios differ.",
+    ),
+    Erratum("6.4 LMAT sign", "section 6.4, second equation 6.2", "+ LMAT", "- LMAT", _matrix("LMAT sign")),
+    Erratum("6.4 LMAT rate", "section 6.4, LMAT", "L D_i + R D_i", "L dG_i/dt + R G_i", _matrix("LMAT rate")),
     Erratum("6.4 BMAT", "section 6.4, BMAT", "diag(L/kT)", "diag(L/kT) dD/dt", _matrix("BMAT")),
-    Erratum("6.4 JKMAT rate", "section 6.4, JKMAT", "L D^i + R D^i", "L dC^i/dt + R C^i",
-            _matrix("JKMAT rate")),
-    Erratum("6.4 JKMAT row", "section 6.4, JKMAT second row", "(x4 x5 x5)", "(x4 x5 x6)",
-            _matrix("JKMAT row 2")),
-    Erratum("6.4 HMAT", "section 6.4, HMAT", "R Ia / kT + H", "(R Ia + L H) / kT",
-            _matrix("HMAT")),
+    Erratum("6.4 JKMAT rate", "section 6.4, JKMAT", "L D^i + R D^i", "L dC^i/dt + R C^i", _matrix("JKMAT rate")),
+    Erratum("6.4 JKMAT row", "section 6.4, JKMAT second row", "(x4 x5 x5)", "(x4 x5 x6)", _matrix("JKMAT row 2")),
+    Erratum("6.4 HMAT", "section 6.4, HMAT", "R Ia / kT + H", "(R Ia + L H) / kT", _matrix("HMAT")),
     Erratum("6.4 KMAT", "section 6.4, KMAT", "ke N + H", "ke N + R H / kT", _matrix("KMAT")),
     Erratum("6.4 KMAT row", "section 6.4, KMAT second row", "H3", "H2", _matrix("KMAT row 2")),
-    Erratum("B df/du", "appendix B, last line", "df/du = 0",
-            "(df/du)(du/dt) = 0, because du/dt = 0", _input_slope),
+    Erratum("B df/du", "appendix B, last line", "df/du = 0", "(df/du)(du/dt) = 0, because du/dt = 0", _input_slope),
 )

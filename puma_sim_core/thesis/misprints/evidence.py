@@ -4,8 +4,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Callable
+from typing import Any
 
 import numpy as np
 
@@ -60,8 +61,7 @@ class Evidence:
     @property
     def proved(self) -> bool:
         """Whether the corrected form agrees with the reference and the printed form does not."""
-        return (self.correct_error <= self.tolerance
-                and self.printed_error > CLEARANCE * self.tolerance)
+        return self.correct_error <= self.tolerance and self.printed_error > CLEARANCE * self.tolerance
 
     def effect(self) -> str:
         """What the misprint does to the numbers, in a sentence."""
@@ -71,16 +71,24 @@ class Evidence:
         correct, printed = _numbers(self.correct), _numbers(self.printed)
         if isinstance(self.reference, Between):
             low, high = self.reference.low, self.reference.high
-            range_ = (f"above {low:.4g}" if not np.isfinite(high) else
-                      f"below {high:.4g}" if not np.isfinite(low) else f"{low:.4g} to {high:.4g}")
-            return (f"{self.quantity}: {_list(printed)}{unit} as printed, {_list(correct)}{unit} "
-                    f"corrected; it must be {range_}{unit}.")
+            range_ = (
+                f"above {low:.4g}"
+                if not np.isfinite(high)
+                else f"below {high:.4g}"
+                if not np.isfinite(low)
+                else f"{low:.4g} to {high:.4g}"
+            )
+            return (
+                f"{self.quantity}: {_list(printed)}{unit} as printed, {_list(correct)}{unit} "
+                f"corrected; it must be {range_}{unit}."
+            )
         if printed.shape != correct.shape or printed.size <= 3:
-            return (f"{self.quantity}: {_list(printed)}{unit} as printed, {_list(correct)}{unit} "
-                    f"corrected.")
+            return f"{self.quantity}: {_list(printed)}{unit} as printed, {_list(correct)}{unit} corrected."
         size = float(np.max(np.abs(_numbers(self.reference))))
-        return (f"{self.quantity}: wrong by up to {self.printed_error:.4g}{unit}, where the true "
-                f"values reach {size:.4g}{unit}.")
+        return (
+            f"{self.quantity}: wrong by up to {self.printed_error:.4g}{unit}, where the true "
+            f"values reach {size:.4g}{unit}."
+        )
 
     def _distance(self, value) -> float:
         if isinstance(self.reference, Between):
@@ -122,13 +130,11 @@ def _numbers(value):
 
 def _words(value) -> str:
     if isinstance(value, (frozenset, tuple)):
-        return ", ".join(sorted(map(str, value)) if isinstance(value, frozenset)
-                         else map(str, value))
+        return ", ".join(sorted(map(str, value)) if isinstance(value, frozenset) else map(str, value))
     return str(value)
 
 
 def _list(values: np.ndarray) -> str:
     # what is left of a zero by rounding is a zero
-    items = [f"{value if abs(value) > 1e-12 else 0.0:.5g}"
-             for value in np.atleast_1d(values).ravel()]
+    items = [f"{value if abs(value) > 1e-12 else 0.0:.5g}" for value in np.atleast_1d(values).ravel()]
     return items[0] if len(items) == 1 else f"({', '.join(items)})"

@@ -58,8 +58,7 @@ def frames(q, table) -> list[np.ndarray]:
     """
     found = [np.eye(4)]
     for angle, (a, alpha, d) in zip(q, table):
-        found.append(found[-1] @ rotation(2, angle) @ translation(z=d) @ translation(x=a)
-                     @ rotation(0, alpha))
+        found.append(found[-1] @ rotation(2, angle) @ translation(z=d) @ translation(x=a) @ rotation(0, alpha))
     return found
 
 
@@ -77,13 +76,11 @@ def inertia(q, arm: ArmParameters | None = None) -> np.ndarray:
             spin[:, i] = axis
             speed[:, i] = np.cross(axis, origin - chain[i][:3, 3])
         xy, yz, xz = link.products
-        tensor = link.mass * (np.diag(link.gyration_squared)
-                              - np.array([[0, xy, xz], [xy, 0, yz], [xz, yz, 0]]))
+        tensor = link.mass * (np.diag(link.gyration_squared) - np.array([[0, xy, xz], [xy, 0, yz], [xz, yz, 0]]))
         arm_of_mass = link.mass * (turn @ np.array(link.centre))
         # m v.(omega x c), once for each of the two factors of the quadratic form
         mixed = speed.T @ np.cross(spin, arm_of_mass[:, None], axis=0)
-        total += (link.mass * speed.T @ speed + mixed + mixed.T
-                  + spin.T @ turn @ tensor @ turn.T @ spin)
+        total += link.mass * speed.T @ speed + mixed + mixed.T + spin.T @ turn @ tensor @ turn.T @ spin
     return total
 
 
@@ -97,8 +94,9 @@ def potential(q, arm: ArmParameters | None = None):
     """Potential energy [J]; q : (3,), real or complex."""
     arm = arm or nominal()
     chain = frames(q, dh_table(arm)[:3])
-    return arm.gravity * sum(link.mass * (frame @ np.array([*link.centre, 1.0]))[2]
-                             for frame, link in zip(chain[1:], arm.links))
+    return arm.gravity * sum(
+        link.mass * (frame @ np.array([*link.centre, 1.0]))[2] for frame, link in zip(chain[1:], arm.links)
+    )
 
 
 def gravity(q, arm: ArmParameters | None = None) -> np.ndarray:
@@ -109,8 +107,11 @@ def gravity(q, arm: ArmParameters | None = None) -> np.ndarray:
 def torque(q, qd, qdd, arm: ArmParameters | None = None) -> np.ndarray:
     """Torque at the joints (3,) [N.m], motor inertias included, without friction."""
     arm = arm or nominal()
-    return ((inertia(q, arm) + np.diag(arm.motor_inertia)) @ qdd
-            + np.einsum("ijk,j,k->i", coriolis(q, arm), qd, qd) + gravity(q, arm))
+    return (
+        (inertia(q, arm) + np.diag(arm.motor_inertia)) @ qdd
+        + np.einsum("ijk,j,k->i", coriolis(q, arm), qd, qd)
+        + gravity(q, arm)
+    )
 
 
 def at_poses(function) -> np.ndarray:
