@@ -148,7 +148,7 @@ $(BENCH_VENV)/.installed: $(BENCH_VENV)/.created setup.py pyproject.toml
 	@touch $@
 
 bench: $(BENCH_VENV)/.installed
-	@$(BENCH_VENV)/bin/python -m puma_sim_core.bench
+	@$(BENCH_VENV)/bin/python -m benchmarks
 
 $(VENV)/.colcon: $(INSTALLED)
 	@$(BIN)/python -m pip install -q colcon-common-extensions colcon-ros catkin-pkg \

@@ -4,6 +4,6 @@
 
 import sys
 
-from .cli import main
+from puma_sim_core.cli import main
 
 sys.exit(main())

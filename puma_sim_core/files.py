@@ -14,7 +14,7 @@ from typing import TextIO
 
 import yaml
 
-from .errors import ParameterError, PumaSimError
+from puma_sim_core.errors import ParameterError, PumaSimError
 
 
 @contextmanager

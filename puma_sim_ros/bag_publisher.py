@@ -15,10 +15,9 @@ import rclpy
 from rclpy.duration import Duration
 from rclpy.signals import SignalHandlerOptions
 
-from puma_sim_core.bag import iterate_messages
 from puma_sim_core.errors import BagError, PumaSimError
-
-from .messages import qos
+from puma_sim_core.recording.bag import iterate_messages
+from puma_sim_ros.messages import qos
 
 #: endings of the topics on which a simulator listens
 _COMMANDS = ("/voltage_controller/commands", "/position_controller/commands", "/joint_commands")

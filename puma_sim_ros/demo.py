@@ -18,12 +18,11 @@ from pathlib import Path
 
 import numpy as np
 
-from puma_sim_core.bag import BagContents, read_bag
 from puma_sim_core.errors import PumaSimError
-from puma_sim_core.recording import Recording, read_csv
-from puma_sim_core.replay import replay, session_of
-
-from .two_programs import PATIENCE, run_session
+from puma_sim_core.recording.bag import BagContents, read_bag
+from puma_sim_core.recording.recording import Recording, read_csv
+from puma_sim_core.simulation.replay import replay, session_of
+from puma_sim_ros.two_programs import PATIENCE, run_session
 
 
 class DemoError(PumaSimError):
@@ -69,7 +68,7 @@ def draw(bag: BagContents, table: Recording, arm, path: Path) -> bool:
     """A picture of the motion; False where matplotlib is not installed."""
     if importlib.util.find_spec("matplotlib") is None:
         return False
-    from .demo_picture import draw_motion
+    from puma_sim_ros.demo_picture import draw_motion
 
     draw_motion(bag, table, arm, path)
     return True

@@ -9,10 +9,10 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 
-from puma_sim_core.bag import BagContents
-from puma_sim_core.kinematics import elbow_position, wrist_position
-from puma_sim_core.parameters import ArmParameters
-from puma_sim_core.recording import Recording
+from puma_sim_core.arm.kinematics import elbow_position, wrist_position
+from puma_sim_core.arm.parameters import ArmParameters
+from puma_sim_core.recording.bag import BagContents
+from puma_sim_core.recording.recording import Recording
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt

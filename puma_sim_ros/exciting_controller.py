@@ -16,9 +16,8 @@ from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException
 
 from puma_sim_core.errors import PumaSimError
-
-from .exciting_motion import expected_volts
-from .external_controller import ControllerError, ExternalController
+from puma_sim_ros.exciting_motion import expected_volts
+from puma_sim_ros.external_controller import ControllerError, ExternalController
 
 PARAMETERS = {
     "simulator": "sim_node",  # its name

@@ -26,13 +26,12 @@ from rclpy.parameter_client import AsyncParameterClient
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
+from puma_sim_core.arm.parameters import load_parameters
 from puma_sim_core.control.controllers import KINDS, load_settings, make_controller
 from puma_sim_core.control.setpoints import vertical_line
 from puma_sim_core.errors import PumaSimError
-from puma_sim_core.parameters import load_parameters
-from puma_sim_core.recording import Recording, write_csv
-
-from .messages import qos, stamp_ns
+from puma_sim_core.recording.recording import Recording, write_csv
+from puma_sim_ros.messages import qos, stamp_ns
 
 PARAMETERS = {
     "simulator": "sim_node",  # its name

@@ -24,12 +24,11 @@ import numpy as np
 
 from puma_sim_core.effects import Effect, parse_effect
 from puma_sim_core.errors import PumaSimError
-from puma_sim_core.loop.ingest import read_log
-from puma_sim_core.mechanisms import load_mechanism
-from puma_sim_core.plant import Plant, dump_model, load_model
-
-from .exciting_motion import MIDDLE
-from .two_programs import ProgramError, environment, run_session
+from puma_sim_core.identify.data.ingest import read_log
+from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.plant.plant import Plant, dump_model, load_model
+from puma_sim_ros.exciting_motion import MIDDLE
+from puma_sim_ros.two_programs import ProgramError, environment, run_session
 
 #: what is hidden where nothing else is asked for: levels like those that Corke measured on joint 2
 EFFECT = "asymmetric_coulomb_friction:joint=2,positive=12.6,negative=7.1"

@@ -8,7 +8,7 @@ import itertools
 from pathlib import Path
 
 from puma_sim_core.errors import BagError
-from puma_sim_core.session import SessionConfig, SessionState
+from puma_sim_core.simulation.session import SessionConfig, SessionState
 
 
 class NodeBag:
@@ -40,7 +40,7 @@ class NodeBag:
         if self._first is None:
             return None
         try:
-            from puma_sim_core.bag import BagRecorder
+            from puma_sim_core.recording.bag import BagRecorder
         except ImportError as error:
             raise BagError(
                 f"{error.name} is not installed",

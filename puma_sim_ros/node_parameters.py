@@ -16,14 +16,14 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
 
+from puma_sim_core.arm.parameters import load_parameters
 from puma_sim_core.control.controllers import load_settings
-from puma_sim_core.control.pid import PidGains
-from puma_sim_core.control.servo import DEFAULT_GAINS, ServoConfig
+from puma_sim_core.dynamics.pid import PidGains
+from puma_sim_core.dynamics.servo import DEFAULT_GAINS, ServoConfig
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.errors import ParameterError, PumaSimError
-from puma_sim_core.parameters import load_parameters
-from puma_sim_core.plant import Plant, load_model
-from puma_sim_core.session import SessionConfig
+from puma_sim_core.plant.plant import Plant, load_model
+from puma_sim_core.simulation.session import SessionConfig
 
 
 class Declared(NamedTuple):

@@ -29,14 +29,13 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
+from puma_sim_core.arm.urdf import arm_urdf
 from puma_sim_core.errors import CommandError, NonFiniteStateError, PumaSimError
-from puma_sim_core.session import Command, Session, SessionConfig
-from puma_sim_core.urdf import arm_urdf
-
-from . import node_parameters
-from .messages import StateMessages, diagnostics, qos
-from .node_bag import NodeBag
-from .pacing import Pacer
+from puma_sim_core.simulation.session import Command, Session, SessionConfig
+from puma_sim_ros import node_parameters
+from puma_sim_ros.messages import StateMessages, diagnostics, qos
+from puma_sim_ros.node_bag import NodeBag
+from puma_sim_ros.pacing import Pacer
 
 #: longest wait [s] before the loop looks at signals again
 _LONGEST_WAIT = 0.1

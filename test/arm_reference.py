@@ -10,11 +10,11 @@ from functools import cache
 
 import numpy as np
 
+from puma_sim_core.arm.kinematics import link_transforms
+from puma_sim_core.arm.parameters import load_parameters
+from puma_sim_core.arm.rigid_body import arm_table, coriolis, gravity_torque, inertia
 from puma_sim_core.effects import parse_effect
-from puma_sim_core.kinematics import link_transforms
-from puma_sim_core.parameters import load_parameters
-from puma_sim_core.plant import Plant
-from puma_sim_core.rigid_body import arm_table, coriolis, gravity_torque, inertia
+from puma_sim_core.plant.plant import Plant
 
 #: the values of the regression in the design notes
 VISCOUS = tuple(f"viscous_friction:joint={j},coefficient={h}" for j, h in ((1, 0.3), (2, 0.5), (3, 0.2)))

@@ -9,7 +9,7 @@ import struct
 import sys
 from typing import NamedTuple
 
-from puma_sim_core.bag import BagRecorder, RecordedCommand
+from puma_sim_core.recording.bag import BagRecorder, RecordedCommand
 
 PERIOD_NS = 28_000_000
 JOINTS = ("joint1", "joint2", "joint3")

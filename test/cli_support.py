@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from puma_sim_core.bag import BagRecorder
 from puma_sim_core.cli import main
 from puma_sim_core.files import yaml_text
-from puma_sim_core.recording import Recording, read_csv, write_csv
-from puma_sim_core.session import Session, SessionConfig
+from puma_sim_core.recording.bag import BagRecorder
+from puma_sim_core.recording.recording import Recording, read_csv, write_csv
+from puma_sim_core.simulation.session import Session, SessionConfig
 
 ROOT = Path(__file__).resolve().parent.parent
 STATE_GROUPS = ("position", "velocity", "current")

@@ -8,7 +8,7 @@ from math import floor, inf
 
 import numpy as np
 
-from puma_sim_core.control.controller_log import ControllerLog
+from puma_sim_core.tuning.controller_log import ControllerLog
 
 H = 0.028 / 30.0
 COUNT = 1.0e-4

@@ -13,9 +13,9 @@ from math import pi
 import numpy as np
 
 from puma_sim_core.control.setpoints import smooth_share
-from puma_sim_core.loop.ingest import Log
-from puma_sim_core.mechanisms import load_mechanism
-from puma_sim_core.simulator import Simulator
+from puma_sim_core.identify.data.ingest import Log
+from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.simulation.simulator import Simulator
 
 QUANTUM = np.array([1.0e-4, 5.8e-5, 1.2e-4])
 START = np.array([0.2, -0.9, 0.8])
@@ -104,7 +104,7 @@ def record(
     p, d = gain * np.array([450.0, 800.0, 400.0]), gain * np.array([12.0, 25.0, 10.0])
     tones = rng.uniform(1.0, 8.0, (3, 4))
     phases = rng.uniform(0.0, 2.0 * pi, (3, 4))
-    total, last = np.array([0.0, -3.0, -1.0]), None
+    total, last, h = np.array([0.0, -3.0, -1.0]), None, step
     volts, positions = np.empty((len(times), 3)), np.empty((len(times), 3))
     for n, t in enumerate(times):
         q = np.array(simulator.state[:3])
@@ -112,7 +112,8 @@ def record(
             q = measured(t, q)
         if np.any(quantum):
             q = np.round(q / quantum) * quantum
-        h = times[n + 1] - t if n + 1 < len(times) else h
+        if n + 1 < len(times):
+            h = times[n + 1] - t
         error = goal[n] - q
         speed = np.zeros(3) if last is None else (q - last) / h
         rate = np.zeros(3) if last is None else (goal[n] - goal[n - 1]) / h

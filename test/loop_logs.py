@@ -6,12 +6,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from puma_sim_core.loop.ingest import Log
-from puma_sim_core.loop.predictor import Predictor
-from puma_sim_core.loop.problem import Problem
-from puma_sim_core.loop.sampling import sample
-from puma_sim_core.loop.validate import Validation
-from puma_sim_core.simulator import Simulator
+from puma_sim_core.identify.data.ingest import Log
+from puma_sim_core.identify.data.sampling import sample
+from puma_sim_core.identify.fitting.predictor import Predictor
+from puma_sim_core.identify.screening.problem import Problem
+from puma_sim_core.identify.selection.validate import Validation
+from puma_sim_core.simulation.simulator import Simulator
 
 STEP, SECONDS = 2e-3, 10.0
 START = [0.1, -0.9, 1.1]

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from puma_sim_core.effects import KINDS, Effect
-from puma_sim_core.loop.result import (
+from puma_sim_core.identify.result import (
     DATA_FAULT,
     NAMED,
     NAMED_WITH_REMAINDER,
@@ -35,7 +35,7 @@ from puma_sim_core.loop.result import (
     Shape,
     StageErrors,
 )
-from puma_sim_core.plant import Plant
+from puma_sim_core.plant.plant import Plant
 
 K = np.array([0.0980, 0.0568, 0.1143])  # V per N.m at the joints
 FRICTION = 10.0

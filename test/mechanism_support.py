@@ -9,7 +9,7 @@ import numpy as np
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.effects.screening import Signals
 from puma_sim_core.files import read_yaml
-from puma_sim_core.one_joint import OneJoint, OneJointPlant
+from puma_sim_core.plant.one_joint import OneJoint, OneJointPlant
 from puma_sim_core.resources import config_path
 
 NAMES = ("puma560", "pendulum", "slide")

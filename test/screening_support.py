@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from puma_sim_core.arm.rigid_body import inertia
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.effects.screening import TORQUE_COLUMN, Signals
-from puma_sim_core.mechanisms import load_mechanism
-from puma_sim_core.rigid_body import inertia
-from puma_sim_core.simulator import Simulator
+from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.simulation.simulator import Simulator
 
 STEP = 5e-4
 ARM = load_mechanism("puma560")

@@ -12,7 +12,7 @@ import sys
 
 import pytest
 
-from puma_sim_core import backend
+from puma_sim_core import jit as backend
 
 needs_numba = pytest.mark.skipif(importlib.util.find_spec("numba") is None, reason="no numba")
 
@@ -109,7 +109,7 @@ def test_compiled_and_interpreted_kernels_give_the_same_bits():
 
 
 def test_the_environment_chooses_the_kernel():
-    program = "from puma_sim_core.backend import BACKEND; print(BACKEND)"
+    program = "from puma_sim_core.jit import BACKEND; print(BACKEND)"
     assert python(program, PUMA_SIM_KERNEL="python").stdout.strip() == "python"
     expected = "numba" if importlib.util.find_spec("numba") else "python"
     for choice in ("auto", None):
@@ -117,7 +117,7 @@ def test_the_environment_chooses_the_kernel():
 
 
 def test_an_unknown_kernel_is_an_error_that_says_what_there_is():
-    done = python("import puma_sim_core.kernel", PUMA_SIM_KERNEL="bogus")
+    done = python("import puma_sim_core.dynamics.rigid", PUMA_SIM_KERNEL="bogus")
     assert done.returncode != 0
     assert (
         "ParameterError: environment variable PUMA_SIM_KERNEL: kernel 'bogus'; expected auto, numba or python"
@@ -130,10 +130,10 @@ HIDDEN = "import sys; sys.modules['numba'] = None; "
 
 def test_without_numba_the_kernel_is_plain_python():
     done = python(
-        HIDDEN + "from puma_sim_core.plant import Plant; "
-        "from puma_sim_core.simulator import Simulator; "
+        HIDDEN + "from puma_sim_core.plant.plant import Plant; "
+        "from puma_sim_core.simulation.simulator import Simulator; "
         "print(Simulator(Plant.of()).step((1, 2, 3))[6:], "
-        "__import__('puma_sim_core.backend').backend.BACKEND)",
+        "__import__('puma_sim_core.jit').backend.BACKEND)",
         PUMA_SIM_KERNEL="auto",
     )
     assert done.returncode == 0, done.stderr
@@ -141,16 +141,16 @@ def test_without_numba_the_kernel_is_plain_python():
 
 
 def test_asking_for_numba_where_there_is_none_is_an_error():
-    done = python(HIDDEN + "import puma_sim_core.backend", PUMA_SIM_KERNEL="numba")
+    done = python(HIDDEN + "import puma_sim_core.jit", PUMA_SIM_KERNEL="numba")
     assert "numba is not installed; expected python or auto, or `pip install numba`" in done.stderr
 
 
 def test_what_does_not_simulate_does_not_import_numba():
     program = (
-        "import sys; import puma_sim_core, puma_sim_core.parameters, "
-        "puma_sim_core.kinematics, puma_sim_core.rigid_body, puma_sim_core.third_order, "
-        "puma_sim_core.recording, puma_sim_core.bag; "
-        "from puma_sim_core.parameters import load_parameters; load_parameters('bejczy'); "
+        "import sys; import puma_sim_core, puma_sim_core.arm.parameters, "
+        "puma_sim_core.arm.kinematics, puma_sim_core.arm.rigid_body, puma_sim_core.arm.third_order, "
+        "puma_sim_core.recording.recording, puma_sim_core.recording.bag; "
+        "from puma_sim_core.arm.parameters import load_parameters; load_parameters('bejczy'); "
         "print([name for name in sys.modules if name.partition('.')[0] in "
         "('numba', 'llvmlite', 'scipy', 'rclpy')])"
     )
@@ -236,10 +236,10 @@ def test_a_kernel_without_a_cache_compiles_and_runs(tmp_path):
     # a path below a file cannot be made, by no user whatever
     (tmp_path / "file").write_text("")
     done = python(
-        "from puma_sim_core.runs import terminal_voltages; "
-        "from puma_sim_core.plant import Plant; "
-        "from puma_sim_core.backend import _CACHE; "
-        "from puma_sim_core.simulator import native; "
+        "from puma_sim_core.dynamics.runs import terminal_voltages; "
+        "from puma_sim_core.plant.plant import Plant; "
+        "from puma_sim_core.jit import _CACHE; "
+        "from puma_sim_core.simulation.simulator import native; "
         "table = native(Plant.of().constants.table); "
         "print(_CACHE, terminal_voltages(1.0, 2.0, 3.0, table))",
         PUMA_SIM_KERNEL="numba",
@@ -254,7 +254,7 @@ def test_a_kernel_without_a_cache_compiles_and_runs(tmp_path):
 @needs_numba
 def test_the_folder_of_other_users_of_numba_is_left_as_it_was(tmp_path):
     done = python(
-        "import numba; before = numba.config.CACHE_DIR; import puma_sim_core.runs; "
+        "import numba; before = numba.config.CACHE_DIR; import puma_sim_core.dynamics.runs; "
         "print(numba.config.CACHE_DIR == before)",
         PUMA_SIM_KERNEL="numba",
         XDG_CACHE_HOME=str(tmp_path),

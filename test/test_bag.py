@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from puma_sim_core.bag import RecordedCommand, iterate_messages, messages, read_bag
+from puma_sim_core.recording.bag import RecordedCommand, iterate_messages, messages, read_bag
 
 FIELDS = ("position", "velocity", "effort", "current", "voltage")
 

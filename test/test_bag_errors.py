@@ -12,8 +12,8 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from puma_sim_core.bag import RecordedCommand, iterate_messages, messages, read_bag
 from puma_sim_core.errors import BagError
+from puma_sim_core.recording.bag import RecordedCommand, iterate_messages, messages, read_bag
 
 
 def mcap_of(bag):
@@ -72,7 +72,7 @@ def test_an_error_at_the_first_write_leaves_nothing(tmp_path, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("puma_sim_core.bag.recorder.Writer.flush", full)
+    monkeypatch.setattr("puma_sim_core.recording.bag.recorder.Writer.flush", full)
     with pytest.raises(BagError, match="No space left"):
         sessions.new_recorder(tmp_path / "run")
     assert not list(tmp_path.iterdir())

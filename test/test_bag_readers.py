@@ -20,8 +20,8 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 
-from puma_sim_core import bag as bags
-from puma_sim_core.bag import messages
+from puma_sim_core.recording import bag as bags
+from puma_sim_core.recording.bag import messages
 
 STEPS = 40
 INFINITE = {"sec": 9223372036, "nsec": 854775807}

@@ -17,8 +17,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.opcode import Opcode
 
-from puma_sim_core.bag import read_bag, recover
 from puma_sim_core.errors import BagError
+from puma_sim_core.recording.bag import read_bag, recover
 
 pytestmark = pytest.mark.long
 SECOND = 1_000_000_000

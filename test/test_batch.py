@@ -15,13 +15,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from puma_sim_core.backend import BACKEND
-from puma_sim_core.batch import run_batch
+from puma_sim_core.dynamics.lanes import LANES, polynomial_sin_cos
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.errors import ParameterError
-from puma_sim_core.lanes import LANES, polynomial_sin_cos
-from puma_sim_core.plant import Plant
-from puma_sim_core.simulator import Simulator
+from puma_sim_core.jit import BACKEND
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.simulation.batch import run_batch
+from puma_sim_core.simulation.simulator import Simulator
 
 pytestmark = pytest.mark.long
 TIME = np.arange(0.0, 0.5, 0.028)
@@ -150,8 +150,8 @@ def test_sine_and_cosine_of_the_lanes_are_within_an_ulp(x):
 def test_batches_run_on_processes_without_numba(tmp_path):
     code = (
         "import numpy as np\n"
-        "from puma_sim_core.batch import run_batch\n"
-        "from puma_sim_core.plant import Plant\n"
+        "from puma_sim_core.simulation.batch import run_batch\n"
+        "from puma_sim_core.plant.plant import Plant\n"
         "t = np.arange(0.0, 0.2, 0.028)\n"
         "v = np.random.default_rng(1).uniform(-40, 40, (len(t), 3))\n"
         "if __name__ == '__main__':\n"

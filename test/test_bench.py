@@ -10,13 +10,13 @@ import re
 import numpy as np
 import pytest
 
-from puma_sim_core.bench import __main__ as bench
-from puma_sim_core.bench import c_reference, casadi_peer, mujoco_peer, own, pinocchio_peer, roboticstoolbox_peer, table
-from puma_sim_core.bench.measure import first_calls, measured, order_of_calls
-from puma_sim_core.bench.task import STEP, Row, Task, Unavailable
+from benchmarks import __main__ as bench
+from benchmarks import c_reference, casadi_peer, mujoco_peer, own, pinocchio_peer, roboticstoolbox_peer, table
+from benchmarks.measure import first_calls, measured, order_of_calls
+from benchmarks.task import STEP, Row, Task, Unavailable
 from puma_sim_core.effects import parse_effect
-from puma_sim_core.plant import Plant
-from puma_sim_core.simulator import Simulator
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.simulation.simulator import Simulator
 
 needs_compiler = pytest.mark.skipif(c_reference.compiler() is None, reason="no C compiler")
 

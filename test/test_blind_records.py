@@ -20,10 +20,10 @@ mujoco = pytest.importorskip("mujoco")
 
 from blind import arm_mujoco, arm_parameters, drives, effects, faults, generate, records, size
 
+from puma_sim_core.arm.parameters import load_parameters
 from puma_sim_core.effects import parse_effect
-from puma_sim_core.parameters import load_parameters
-from puma_sim_core.plant import Plant
-from puma_sim_core.simulator import Simulator
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.simulation.simulator import Simulator
 
 BLIND = Path(__file__).parent / "blind"
 RECORDS = BLIND / "records"

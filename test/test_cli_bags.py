@@ -14,9 +14,9 @@ import yaml
 from arm_reference import plant_of
 from cli_support import call, contents, puma_sim, record_session
 
-from puma_sim_core.backend import BACKEND
-from puma_sim_core.bag import messages, read_bag
-from puma_sim_core.session import SessionConfig
+from puma_sim_core.jit import BACKEND
+from puma_sim_core.recording.bag import messages, read_bag
+from puma_sim_core.simulation.session import SessionConfig
 
 STEPS = 60
 EFFECTS = ("coulomb_friction:joint=1,torque=9", "presliding_friction:joint=2,torque=4", "payload:mass=1")
@@ -105,7 +105,7 @@ def test_a_missing_command_shows(tmp_path, capsys):
 
 
 def _states(bag):
-    from puma_sim_core.session import SessionState
+    from puma_sim_core.simulation.session import SessionState
 
     found = read_bag(bag)
     columns = (found.steps, found.time_ns, found.position, found.velocity, found.current, found.voltage, found.effort)

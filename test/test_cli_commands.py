@@ -17,9 +17,9 @@ import yaml
 from cli_support import ROOT, call, contents, puma_sim, random_volts, write_volts
 
 from puma_sim_core import __version__
+from puma_sim_core.arm.parameters import from_mapping, load_parameters, parameter_sets
 from puma_sim_core.cli import _COMMANDS, output
 from puma_sim_core.effects import KINDS, parse_effect
-from puma_sim_core.parameters import from_mapping, load_parameters, parameter_sets
 
 #: a run that is not over before somebody interrupts it: hours of plain Python
 ENDLESS = ("simulate", "volts.csv", "--out", "run.csv", "--limits", "off")
@@ -38,12 +38,12 @@ def test_help_names_every_command(capsys):
         call("--help")
     out = capsys.readouterr().out
     assert end.value.code == 0
-    assert {"simulate", "replay", "recover", "bench"} <= {command.NAME for command in _COMMANDS}
+    assert {"simulate", "replay", "recover"} <= {command.NAME for command in _COMMANDS}
     for command in _COMMANDS:
         assert command.NAME in out and command.SUMMARY in " ".join(out.split())
 
 
-@pytest.mark.parametrize("name", [c.NAME for c in _COMMANDS if c.NAME != "bench"])
+@pytest.mark.parametrize("name", [c.NAME for c in _COMMANDS])
 def test_each_command_has_help(name, capsys):
     with pytest.raises(SystemExit) as end:
         call(name, "--help")
@@ -110,20 +110,6 @@ def test_what_cannot_be_listed_is_refused(tmp_path, capsys):
     (tmp_path / "bad.yaml").write_text("name: 1\n")
     assert call("list", tmp_path / "bad.yaml") == 2
     assert "bad.yaml" in capsys.readouterr().err
-
-
-# ---------------------------------------------------------------------------------------- bench
-
-
-def test_bench_gets_all_that_stands_behind_its_name(monkeypatch):
-    from puma_sim_core.bench import __main__ as bench
-
-    calls = []
-    monkeypatch.setattr(bench, "main", lambda arguments: calls.append(list(arguments)) or 5)
-    assert call("bench") == 5
-    assert call("bench", "--quick", "--peers", "") == 5
-    assert call("bench", "--help") == 5
-    assert calls == [[], ["--quick", "--peers", ""], ["--help"]]
 
 
 # ------------------------------------------------------------------------------------- its ends
@@ -212,7 +198,7 @@ def test_a_quick_command_shows_no_progress():
 
 
 def test_an_interrupt_anywhere_in_the_run_is_130(tmp_path, monkeypatch, capsys):
-    from puma_sim_core import recording
+    from puma_sim_core.recording import recording
 
     volts = random_volts(tmp_path / "volts.csv", rows=10)
     (tmp_path / "run.csv").write_text("mine")

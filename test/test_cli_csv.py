@@ -11,9 +11,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from puma_sim_core import recording as module
 from puma_sim_core.errors import RecordingError
-from puma_sim_core.recording import GROUPS, Recording, read_csv, write_csv
+from puma_sim_core.recording import recording as module
+from puma_sim_core.recording.recording import GROUPS, Recording, read_csv, write_csv
 
 numbers = st.floats(allow_nan=False, allow_infinity=False)
 

@@ -10,9 +10,9 @@ import pytest
 import yaml
 from cli_support import HEADER, call, contents, puma_sim, random_volts, write_volts
 
+from puma_sim_core.arm.parameters import load_parameters, to_mapping
 from puma_sim_core.files import yaml_text
-from puma_sim_core.parameters import load_parameters, to_mapping
-from puma_sim_core.plant import Plant, dump_model
+from puma_sim_core.plant.plant import Plant, dump_model
 
 GOOD = f"{HEADER}\n0,1,2,3\n0.5,1,2,3\n1,0,0,0\n"
 

@@ -10,7 +10,7 @@ import pytest
 from cli_support import call
 from loop_support import EXPLANATIONS, faulty, named
 
-from puma_sim_core import loop
+from puma_sim_core import identify as loop
 
 
 @pytest.fixture

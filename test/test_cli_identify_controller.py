@@ -11,12 +11,12 @@ import pytest
 from cli_support import call
 from controller_records import COUNT, H, record, write
 
-from puma_sim_core.control.controller_log import read_controller_log
-from puma_sim_core.control.pid import PidGains
-from puma_sim_core.control.servo import ServoConfig
-from puma_sim_core.plant import Plant
-from puma_sim_core.recording import write_csv
-from puma_sim_core.simulator import Simulator
+from puma_sim_core.dynamics.pid import PidGains
+from puma_sim_core.dynamics.servo import ServoConfig
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.recording.recording import write_csv
+from puma_sim_core.simulation.simulator import Simulator
+from puma_sim_core.tuning.controller_log import read_controller_log
 
 GAINS = (137.0, 0.315, 0.032)
 

@@ -16,9 +16,9 @@ from arm_reference import VISCOUS, plant_of
 from cli_support import call, read_run, states
 
 from puma_sim_core.errors import ParameterError
-from puma_sim_core.recording import Recording, write_csv
-from puma_sim_core.restart import driven_current, local_motion, measured_state, run_windows, window_starts
-from puma_sim_core.simulator import Constraint, Simulator
+from puma_sim_core.recording.recording import Recording, write_csv
+from puma_sim_core.simulation.simulator import Constraint, Simulator
+from puma_sim_core.simulation.windows import driven_current, local_motion, measured_state, run_windows, window_starts
 
 FRICTION = (
     "coulomb_friction:joint=1,torque=8",

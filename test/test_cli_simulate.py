@@ -19,9 +19,9 @@ from arm_reference import START, VISCOUS, plant_of, right_hand_side
 from cli_support import HEADER, ROOT, call, contents, puma_sim, random_volts, read_run, states, triple, write_volts
 from scipy.integrate import solve_ivp
 
-from puma_sim_core.plant import dump_model
-from puma_sim_core.recording import read_csv
-from puma_sim_core.simulator import GREATEST_STEP
+from puma_sim_core.plant.plant import dump_model
+from puma_sim_core.recording.recording import read_csv
+from puma_sim_core.simulation.simulator import GREATEST_STEP
 
 pytestmark = pytest.mark.long
 INITIAL = ("--initial", triple(START[0]), "--initial-velocity", triple(START[1]), "--initial-current", triple(START[2]))
@@ -172,7 +172,7 @@ def test_reruns_are_byte_equal_in_other_processes_and_with_both_kernels(volts, t
 
 
 def test_the_summary_says_rows_seconds_and_kernel(volts, tmp_path, capsys):
-    from puma_sim_core.backend import BACKEND
+    from puma_sim_core.jit import BACKEND
 
     run = simulate(volts, tmp_path / "run.csv")
     out, err = capsys.readouterr()

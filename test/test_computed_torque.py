@@ -11,14 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_controllers import LOOPS, PLANT, START, columns, computed, follow
 
+from puma_sim_core.arm.rigid_body import coriolis, gravity_torque, inertia
 from puma_sim_core.control.computed_torque import InverseDynamics
 from puma_sim_core.control.controllers import make_controller
 from puma_sim_core.control.metrics import tracking_error
-from puma_sim_core.control.servo import ServoConfig
 from puma_sim_core.control.setpoints import Move
 from puma_sim_core.control.velocity_loop import VelocityLoop
-from puma_sim_core.rigid_body import coriolis, gravity_torque, inertia
-from puma_sim_core.simulator import SERVO_PERIOD
+from puma_sim_core.dynamics.servo import ServoConfig
+from puma_sim_core.simulation.simulator import SERVO_PERIOD
 
 SMOOTH = [Move(0.28, 1.2, (1.0, -0.8, 1.0))]
 

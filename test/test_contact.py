@@ -14,10 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from puma_sim_core.backend import BACKEND
-from puma_sim_core.plant import Plant
-from puma_sim_core.rigid_body import gravity_torque
-from puma_sim_core.simulator import Constraint, Simulator
+from puma_sim_core.arm.rigid_body import gravity_torque
+from puma_sim_core.jit import BACKEND
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.simulation.simulator import Constraint, Simulator
 
 pytestmark = pytest.mark.long
 # rows of an hour; the interpreted kernel would take as long

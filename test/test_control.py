@@ -13,14 +13,14 @@ from arm_reference import arm_of, bits, plant_of
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from puma_sim_core.backend import interpreted
-from puma_sim_core.control.pid import Pid, PidGains
-from puma_sim_core.control.servo import ServoConfig, quantised
+from puma_sim_core.arm.inverse_kinematics import wrist_angles
+from puma_sim_core.arm.kinematics import wrist_position
 from puma_sim_core.control.setpoints import smooth_share, straight_line, vertical_line
+from puma_sim_core.dynamics.pid import Pid, PidGains
+from puma_sim_core.dynamics.servo import ServoConfig, quantised
 from puma_sim_core.errors import ParameterError
-from puma_sim_core.inverse_kinematics import wrist_angles
-from puma_sim_core.kinematics import wrist_position
-from puma_sim_core.simulator import SERVO_PERIOD, Simulator
+from puma_sim_core.jit import interpreted
+from puma_sim_core.simulation.simulator import SERVO_PERIOD, Simulator
 
 GAINS = (PidGains(900.0, 0.2, 0.03), PidGains(1600.0, 0.3, 0.02), PidGains(800.0))
 ARM = arm_of("bejczy")

@@ -15,20 +15,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
-from puma_sim_core.closed_loop import samples_per_period
+from puma_sim_core.arm.rigid_body import inertia
 from puma_sim_core.control.computed_torque import ComputedTorque
 from puma_sim_core.control.controllers import GROUPS, KINDS, load_settings, make_controller
 from puma_sim_core.control.metrics import tracking_error
-from puma_sim_core.control.pid import Pid, PidGains
-from puma_sim_core.control.schedule_design import placed_gains, schedule_of, ultimate_gains
 from puma_sim_core.control.scheduled import GainSchedule, ScheduledPid
-from puma_sim_core.control.servo import DEFAULT_GAINS, ServoConfig
 from puma_sim_core.control.setpoints import Move, joint_path, joint_setpoints
 from puma_sim_core.control.velocity_loop import VelocityLoop
+from puma_sim_core.dynamics.pid import Pid, PidGains
+from puma_sim_core.dynamics.servo import DEFAULT_GAINS, ServoConfig
 from puma_sim_core.errors import NonFiniteStateError, ParameterError
 from puma_sim_core.resources import config_path
-from puma_sim_core.rigid_body import inertia
-from puma_sim_core.simulator import SERVO_PERIOD, Simulator
+from puma_sim_core.simulation.feedback import samples_per_period
+from puma_sim_core.simulation.simulator import SERVO_PERIOD, Simulator
+from puma_sim_core.tuning.schedule_design import placed_gains, schedule_of, ultimate_gains
 
 PLANT = plant_of()
 START = (0.0, -1.2, 1.0)

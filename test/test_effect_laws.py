@@ -14,12 +14,8 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from test_rigid_body import assert_same_dynamics, central_inertia, mujoco_chain
 
-from puma_sim_core.backend import interpreted
-from puma_sim_core.effects.friction import PRESLIDING, bristle_flow
-from puma_sim_core.effects.stops import stop_torque
-from puma_sim_core.kinematics import dh_table, link_transforms, wrist_position
-from puma_sim_core.plant import Plant
-from puma_sim_core.rigid_body import (
+from puma_sim_core.arm.kinematics import dh_table, link_transforms, wrist_position
+from puma_sim_core.arm.rigid_body import (
     arm_pseudo_inertias,
     arm_table,
     coriolis,
@@ -29,7 +25,11 @@ from puma_sim_core.rigid_body import (
     trace_gravity,
     trace_inertia,
 )
-from puma_sim_core.simulator import SERVO_PERIOD, Constraint, Simulator
+from puma_sim_core.effects.friction import PRESLIDING, bristle_flow
+from puma_sim_core.effects.stops import stop_torque
+from puma_sim_core.jit import interpreted
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.simulation.simulator import SERVO_PERIOD, Constraint, Simulator
 
 HOLD = Constraint("hold")
 R = 1.6

@@ -19,13 +19,13 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from test_stick_slip import POSITION, EventDriven
 
-from puma_sim_core.backend import interpreted
-from puma_sim_core.batch import run_batch
+from puma_sim_core.arm.kinematics import first_derivatives
+from puma_sim_core.arm.rigid_body import arm_pseudo_inertias, arm_table, gravity_torque
 from puma_sim_core.effects.outside import pulse_torque
-from puma_sim_core.kinematics import first_derivatives
-from puma_sim_core.plant import Plant
-from puma_sim_core.rigid_body import arm_pseudo_inertias, arm_table, gravity_torque
-from puma_sim_core.simulator import SERVO_PERIOD, Constraint, Simulator
+from puma_sim_core.jit import interpreted
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.simulation.batch import run_batch
+from puma_sim_core.simulation.simulator import SERVO_PERIOD, Constraint, Simulator
 
 HOLD = Constraint("hold")
 MOTORS = arm_of("bejczy").motors

@@ -17,6 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import puma_sim_core.effects as registry
+from puma_sim_core.dynamics.rigid import ALGEBRAIC, LOCKED
 from puma_sim_core.effects import (
     ALWAYS,
     BRISTLE,
@@ -41,9 +42,8 @@ from puma_sim_core.effects import (
     slot,
 )
 from puma_sim_core.errors import ParameterError
-from puma_sim_core.kernel import ALGEBRAIC, LOCKED
-from puma_sim_core.plant import Plant
-from puma_sim_core.simulator import Constraint, Simulator
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.simulation.simulator import Constraint, Simulator
 
 #: the effects that the issues ask for
 PROMISED = {

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 from test_rigid_body import central_inertia, mujoco_chain, mujoco_terms
 
-from puma_sim_core import printed_coefficients
-from puma_sim_core.parameters import load_parameters
-from puma_sim_core.rigid_body import arm_pseudo_inertias, arm_table, trace_coriolis, trace_gravity, trace_inertia
+from puma_sim_core.arm import printed_coefficients
+from puma_sim_core.arm.parameters import load_parameters
+from puma_sim_core.arm.rigid_body import arm_pseudo_inertias, arm_table, trace_coriolis, trace_gravity, trace_inertia
 from puma_sim_core.thesis import errata
 from puma_sim_core.thesis.errata import ERRATA
 from puma_sim_core.thesis.misprints import chapter_4, chapter_5, chapter_6, reference, references

@@ -7,10 +7,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from puma_sim_core.backend import BACKEND
+from puma_sim_core.arm.rigid_body import inertia, lumped_constants
 from puma_sim_core.errors import ParameterError
-from puma_sim_core.estimation import START_SPREAD, Instrument, _whitener, estimate, record_from_servo, with_gyration
-from puma_sim_core.rigid_body import inertia, lumped_constants
+from puma_sim_core.jit import BACKEND
 from puma_sim_core.thesis.motions import UPRIGHT
 from puma_sim_core.thesis.radii import (
     LUMPS,
@@ -24,6 +23,14 @@ from puma_sim_core.thesis.radii import (
     with_lumps,
 )
 from puma_sim_core.thesis.registry import Context
+from puma_sim_core.tuning.estimation import (
+    START_SPREAD,
+    Instrument,
+    _whitener,
+    estimate,
+    record_from_servo,
+    with_gyration,
+)
 
 compiled_only = pytest.mark.skipif(BACKEND != "numba", reason="many runs: compiled kernel only")
 

@@ -14,22 +14,22 @@ import pytest
 from puma_sim_core.cli import main, parser
 from puma_sim_core.effects import KINDS, parse_effect
 from puma_sim_core.errors import ParameterError
-from puma_sim_core.loop import explain
-from puma_sim_core.loop.design import design, suspects_of
-from puma_sim_core.loop.evidence import screen
-from puma_sim_core.loop.excitation import Builder, Limits, voltages
-from puma_sim_core.loop.ingest import Log
-from puma_sim_core.loop.next_experiment import label, next_experiment
-from puma_sim_core.loop.problem import Problem
-from puma_sim_core.loop.result import Hypothesis
-from puma_sim_core.loop.sampling import sample
-from puma_sim_core.loop.search import Search
-from puma_sim_core.loop.selected import LEAST_GAIN
-from puma_sim_core.loop.separation import Judge, _Parameters, play
-from puma_sim_core.mechanisms import load_mechanism
-from puma_sim_core.plant import dump_model
-from puma_sim_core.recording import read_csv
-from puma_sim_core.simulator import SERVO_PERIOD, Simulator
+from puma_sim_core.identify import explain
+from puma_sim_core.identify.data.ingest import Log
+from puma_sim_core.identify.data.sampling import sample
+from puma_sim_core.identify.experiment.design import design, suspects_of
+from puma_sim_core.identify.experiment.excitation import Builder, Limits, voltages
+from puma_sim_core.identify.experiment.next_experiment import label, next_experiment
+from puma_sim_core.identify.experiment.separation import Judge, _Parameters, play
+from puma_sim_core.identify.result import Hypothesis
+from puma_sim_core.identify.screening.evidence import screen
+from puma_sim_core.identify.screening.problem import Problem
+from puma_sim_core.identify.screening.search import Search
+from puma_sim_core.identify.selection.selected import LEAST_GAIN
+from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.plant.plant import dump_model
+from puma_sim_core.recording.recording import read_csv
+from puma_sim_core.simulation.simulator import SERVO_PERIOD, Simulator
 
 MACHINES = {name: load_mechanism(name) for name in ("puma560", "pendulum", "slide")}
 #: what each machine is asked for here
@@ -54,7 +54,7 @@ def designs():
 @pytest.fixture
 def quick(monkeypatch):
     """The command's search with few motions."""
-    monkeypatch.setattr("puma_sim_core.loop.design.MOTIONS", 14)
+    monkeypatch.setattr("puma_sim_core.identify.experiment.design.MOTIONS", 14)
 
 
 def written(tmp_path, *arguments, name="volts.csv"):

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from controller_records import COUNT, VOLT_STEP, H, record
 
-from puma_sim_core.control.bounded_error import Enclosure
-from puma_sim_core.control.controller_log import ControllerLog, lattice_step
-from puma_sim_core.control.identification import compare_gains, identify_pid
-from puma_sim_core.control.least_squares import RecursiveLeastSquares
-from puma_sim_core.control.pid import PidGains, recursive_coefficients
-from puma_sim_core.control.transfer_function import METHODS, identify_transfer_function, implied_gains, poles
+from puma_sim_core.dynamics.pid import PidGains, recursive_coefficients
 from puma_sim_core.errors import ParameterError, RecordingError
+from puma_sim_core.tuning.bounded_error import Enclosure
+from puma_sim_core.tuning.controller_log import ControllerLog, lattice_step
+from puma_sim_core.tuning.least_squares import RecursiveLeastSquares
+from puma_sim_core.tuning.pid_identification import compare_gains, identify_pid
+from puma_sim_core.tuning.transfer_function import METHODS, identify_transfer_function, implied_gains, poles
 
 pytestmark = pytest.mark.long
 GAINS = (137.0, 0.315, 0.032)

@@ -23,10 +23,10 @@ from arm_reference import (
 )
 from scipy.integrate import solve_ivp
 
-from puma_sim_core.backend import BACKEND
-from puma_sim_core.parameters import parameter_sets
-from puma_sim_core.simulator import CONSTRAINTS, Constraint, Simulator
-from puma_sim_core.third_order import acceleration_from_current, jerk
+from puma_sim_core.arm.parameters import parameter_sets
+from puma_sim_core.arm.third_order import acceleration_from_current, jerk
+from puma_sim_core.jit import BACKEND
+from puma_sim_core.simulation.simulator import CONSTRAINTS, Constraint, Simulator
 
 VOLTAGE = (20.0, -15.0, 10.0)
 #: q(0.5 s) from START with VOLTAGE held, by form of equation 5.2

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from puma_sim_core.kinematics import (
+from puma_sim_core.arm.kinematics import (
     Q,
     base_delta,
     delta_operator,
@@ -25,7 +25,7 @@ from puma_sim_core.kinematics import (
     tool_position,
     wrist_position,
 )
-from puma_sim_core.parameters import load_parameters
+from puma_sim_core.arm.parameters import load_parameters
 
 ARM = load_parameters("bejczy")
 A2, A3, D3, D4 = ARM.a2, ARM.a3, ARM.d3, ARM.d4

@@ -19,14 +19,14 @@ from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 from screening_support import recorded, signals_of, torque_per_ampere
 
-from puma_sim_core.batch import run_batch
 from puma_sim_core.effects import KINDS, Effect, parse_effect
 from puma_sim_core.effects.columns import SCREENINGS
-from puma_sim_core.known_effects import known_voltage
-from puma_sim_core.loop.trials import STRUCTURAL
-from puma_sim_core.mechanisms import load_mechanism
-from puma_sim_core.one_joint import OneJoint, OneJointPlant
-from puma_sim_core.simulator import Constraint, Simulator
+from puma_sim_core.identify.fitting.trials import STRUCTURAL
+from puma_sim_core.identify.screening.known_effects import known_voltage
+from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.plant.one_joint import OneJoint, OneJointPlant
+from puma_sim_core.simulation.batch import run_batch
+from puma_sim_core.simulation.simulator import Constraint, Simulator
 
 NAME = "load_dependent_friction"
 WEIGHT, INERTIA, VISCOUS, KT, R = 0.49 * 9.81 * 0.1, 0.49 * 0.01 + 0.0019, 0.0066, 0.334, 3.29
@@ -330,10 +330,10 @@ def pendulum_signals(mechanism, run, voltage):
 
 def test_the_explainer_names_the_load_that_made_the_log():
     """Screening of both loads on a log of the pendulum: the right one has the evidence."""
-    from puma_sim_core.loop.ingest import Log
-    from puma_sim_core.loop.problem import Problem
-    from puma_sim_core.loop.sampling import sample
-    from puma_sim_core.loop.search import Search
+    from puma_sim_core.identify.data.ingest import Log
+    from puma_sim_core.identify.data.sampling import sample
+    from puma_sim_core.identify.screening.problem import Problem
+    from puma_sim_core.identify.screening.search import Search
 
     mechanism = load_mechanism("pendulum")
     time = np.arange(0.0, 8.0, 5e-3)

@@ -17,8 +17,8 @@ pytest.importorskip("scipy")
 
 from score import scoring
 
-from puma_sim_core.loop import explain
-from puma_sim_core.loop.report_json import report_mapping, report_text
+from puma_sim_core.identify import explain
+from puma_sim_core.identify.report.json import report_mapping, report_text
 
 RECORDS = Path(__file__).parent / "blind" / "records"
 #: open loop, and under feedback

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 from puma_sim_core.effects import KINDS, parse_effect
-from puma_sim_core.loop.explain import _confirmed
-from puma_sim_core.loop.outcome import no_name_stands
-from puma_sim_core.loop.prediction import Fitted, Point, PredictionFit
-from puma_sim_core.loop.selected import Selected, Stage
-from puma_sim_core.loop.selection import Selection
-from puma_sim_core.loop.tidying import Tidying
-from puma_sim_core.loop.trials import Trial, Trials, tied
-from puma_sim_core.loop.wrong_zero import wrong_zeros
-from puma_sim_core.mechanisms import load_mechanism
+from puma_sim_core.identify.checks.wrong_zero import wrong_zeros
+from puma_sim_core.identify.explain import _confirmed
+from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
+from puma_sim_core.identify.fitting.trials import Trial, Trials, tied
+from puma_sim_core.identify.outcome import no_name_stands
+from puma_sim_core.identify.selection.selected import Selected, Stage
+from puma_sim_core.identify.selection.selection import Selection
+from puma_sim_core.identify.selection.tidying import Tidying
+from puma_sim_core.plant.mechanism import load_mechanism
 
 A, B = ("coulomb_friction", 1), ("impulse", 2)
 

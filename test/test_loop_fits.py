@@ -13,13 +13,13 @@ import pytest
 from loop_logs import pieces, record
 
 from puma_sim_core.effects import KINDS, Effect, parse_effect
-from puma_sim_core.loop import explain
-from puma_sim_core.loop.evidence import Scored
-from puma_sim_core.loop.prediction import _FARTHEST, Point, PredictionFit, _bounded_step
-from puma_sim_core.loop.refits import Refits
-from puma_sim_core.loop.selected import Stage
-from puma_sim_core.loop.trials import Trials
-from puma_sim_core.mechanisms import load_mechanism
+from puma_sim_core.identify import explain
+from puma_sim_core.identify.fitting.prediction import _FARTHEST, Point, PredictionFit, _bounded_step
+from puma_sim_core.identify.fitting.refits import Refits
+from puma_sim_core.identify.fitting.trials import Trials
+from puma_sim_core.identify.screening.evidence import Scored
+from puma_sim_core.identify.selection.selected import Stage
+from puma_sim_core.plant.mechanism import load_mechanism
 
 pytestmark = pytest.mark.long
 NOISE = 0.02

@@ -16,9 +16,9 @@ from blind import generate, records
 from gate_support import SERVO, moves, record, waves
 
 from puma_sim_core.effects import parse_effect
-from puma_sim_core.loop.gate import check
-from puma_sim_core.loop.ingest import Log, parse_columns, read_log
-from puma_sim_core.mechanisms import load_mechanism
+from puma_sim_core.identify.checks.gate import check
+from puma_sim_core.identify.data.ingest import Log, parse_columns, read_log
+from puma_sim_core.plant.mechanism import load_mechanism
 
 pytestmark = pytest.mark.long
 PUMA, PENDULUM, SLIDE = (load_mechanism(name) for name in ("puma560", "pendulum", "slide"))

@@ -10,11 +10,11 @@ from loop_logs import pieces, record
 from scipy.optimize import minimize_scalar
 
 from puma_sim_core.effects import Effect, parse_effect
-from puma_sim_core.loop.held_out import Fold, HeldOut, Model
-from puma_sim_core.loop.prediction import Fitted, Point, PredictionFit
-from puma_sim_core.loop.problem import Problem
-from puma_sim_core.loop.validate import Validation
-from puma_sim_core.mechanisms import load_mechanism
+from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
+from puma_sim_core.identify.screening.problem import Problem
+from puma_sim_core.identify.selection.held_out import Fold, HeldOut, Model
+from puma_sim_core.identify.selection.validate import Validation
+from puma_sim_core.plant.mechanism import load_mechanism
 
 pytestmark = pytest.mark.long
 NOISE = 0.05

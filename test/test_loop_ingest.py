@@ -12,15 +12,15 @@ import cli_support as cli
 import numpy as np
 import pytest
 
-from puma_sim_core import csv_rows
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.errors import BagError, PumaSimError, RecordingError
-from puma_sim_core.loop import explain
-from puma_sim_core.loop.gate import check
-from puma_sim_core.loop.ingest import GREATEST_ROWS, encoder_step, parse_columns, read_log
-from puma_sim_core.mechanisms import load_mechanism
-from puma_sim_core.plant import Plant
-from puma_sim_core.session import Session, SessionConfig
+from puma_sim_core.identify import explain
+from puma_sim_core.identify.checks.gate import check
+from puma_sim_core.identify.data.ingest import GREATEST_ROWS, encoder_step, parse_columns, read_log
+from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.recording import csv_rows
+from puma_sim_core.simulation.session import Session, SessionConfig
 
 NAMES = "time,voltage1,position1"
 

@@ -9,13 +9,15 @@ import pytest
 from scipy.signal import lfilter, oaconvolve
 
 from puma_sim_core.effects import parse_effect
-from puma_sim_core.loop import colour, intervals, shape
-from puma_sim_core.loop.ingest import Log
-from puma_sim_core.loop.prediction import Fitted, Point, PredictionFit
-from puma_sim_core.loop.predictor import Predictor
-from puma_sim_core.loop.weighting import Weighting
-from puma_sim_core.mechanisms import load_mechanism
-from puma_sim_core.simulator import Simulator
+from puma_sim_core.identify.data.ingest import Log
+from puma_sim_core.identify.fitting import intervals
+from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
+from puma_sim_core.identify.fitting.predictor import Predictor
+from puma_sim_core.identify.noise import colour
+from puma_sim_core.identify.noise.weighting import Weighting
+from puma_sim_core.identify.residuals import shape
+from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.simulation.simulator import Simulator
 
 pytestmark = pytest.mark.long
 STEP = 1e-3

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from puma_sim_core.effects import parse_effect
-from puma_sim_core.loop import parallel
-from puma_sim_core.loop.ingest import Log
-from puma_sim_core.loop.prediction import Point, PredictionFit
-from puma_sim_core.loop.predictor import Predictor
-from puma_sim_core.mechanisms import load_mechanism
-from puma_sim_core.simulator import Simulator
+from puma_sim_core.identify import parallel
+from puma_sim_core.identify.data.ingest import Log
+from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
+from puma_sim_core.identify.fitting.predictor import Predictor
+from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.simulation.simulator import Simulator
 
 
 @pytest.mark.parametrize("cores", [1, 2, 5])

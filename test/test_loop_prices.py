@@ -12,9 +12,9 @@ from scipy.integrate import quad
 from scipy.stats import multivariate_normal, norm
 
 from puma_sim_core.effects import KINDS, Effect, parse_effect
-from puma_sim_core.loop import prices
-from puma_sim_core.loop.evidence import Scored
-from puma_sim_core.loop.prediction import Fitted, Point
+from puma_sim_core.identify.fitting import prices
+from puma_sim_core.identify.fitting.prediction import Fitted, Point
+from puma_sim_core.identify.screening.evidence import Scored
 
 SCALE = 10.0
 WITH_COORDINATES = [

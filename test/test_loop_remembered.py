@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from puma_sim_core.loop.remembered import Remembered
+from puma_sim_core.identify.remembered import Remembered
 
 
 def ask(remembered, *keys):

@@ -21,15 +21,15 @@ from loop_support import EXPLANATIONS, HARD, faulty, named, nothing, one_joint, 
 from puma_sim_core import files
 from puma_sim_core.effects import KINDS
 from puma_sim_core.errors import RecordingError
-from puma_sim_core.loop import output
-from puma_sim_core.loop.output import check_folder, write_explanation
-from puma_sim_core.loop.report_drawing import decades, thin, ticks
-from puma_sim_core.loop.report_figures import _AGAINST, residual_against, residual_in_time, whiteness
-from puma_sim_core.loop.report_html import page
-from puma_sim_core.loop.report_json import report_text
-from puma_sim_core.loop.report_text import estimate, number, quantity
-from puma_sim_core.loop.result import VERDICTS, Interval, NamedEffect
-from puma_sim_core.plant import load_model
+from puma_sim_core.identify.report import output
+from puma_sim_core.identify.report.drawing import decades, thin, ticks
+from puma_sim_core.identify.report.figures import _AGAINST, residual_against, residual_in_time, whiteness
+from puma_sim_core.identify.report.html import page
+from puma_sim_core.identify.report.json import report_text
+from puma_sim_core.identify.report.output import check_folder, write_explanation
+from puma_sim_core.identify.report.text import estimate, number, quantity
+from puma_sim_core.identify.result import VERDICTS, Interval, NamedEffect
+from puma_sim_core.plant.plant import load_model
 from puma_sim_core.resources import config_path
 
 COMMON = ("found", "errors", "residual", "ranking", "whiteness", "unseen", "logs")

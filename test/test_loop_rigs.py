@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from puma_sim_core.loop import explain
-from puma_sim_core.loop.ingest import read_log
-from puma_sim_core.simulator import Simulator
+from puma_sim_core.identify import explain
+from puma_sim_core.identify.data.ingest import read_log
+from puma_sim_core.simulation.simulator import Simulator
 
 DATA = os.environ.get("PUMA_SIM_DATA")
 pytestmark = [

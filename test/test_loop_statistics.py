@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from puma_sim_core.loop import filters, noise
-from puma_sim_core.loop.evidence import Base, log_gain
-from puma_sim_core.loop.ingest import Log
-from puma_sim_core.loop.prediction import Point, PredictionFit
-from puma_sim_core.loop.predictor import Predictor
-from puma_sim_core.loop.sampling import sample
-from puma_sim_core.mechanisms import load_mechanism
-from puma_sim_core.simulator import Simulator
+from puma_sim_core.identify.data import filters
+from puma_sim_core.identify.data.ingest import Log
+from puma_sim_core.identify.data.sampling import sample
+from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
+from puma_sim_core.identify.fitting.predictor import Predictor
+from puma_sim_core.identify.noise import noise
+from puma_sim_core.identify.screening.evidence import Base, log_gain
+from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.simulation.simulator import Simulator
 
 pytestmark = pytest.mark.long
 STEP = 1e-3

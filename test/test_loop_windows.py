@@ -11,13 +11,13 @@ from mechanism_support import NAMES
 from scipy.linalg import solve_discrete_lyapunov
 
 from puma_sim_core.effects import parse_effect
-from puma_sim_core.loop.ingest import Log
-from puma_sim_core.loop.predictor import _settled, stable_step
-from puma_sim_core.loop.problem import Problem
-from puma_sim_core.loop.sampling import sample
-from puma_sim_core.loop.validate import FAR_OFF, position_floor, rms
-from puma_sim_core.mechanisms import load_mechanism
-from puma_sim_core.simulator import Simulator
+from puma_sim_core.identify.data.ingest import Log
+from puma_sim_core.identify.data.sampling import sample
+from puma_sim_core.identify.fitting.predictor import _settled, stable_step
+from puma_sim_core.identify.screening.problem import Problem
+from puma_sim_core.identify.selection.validate import FAR_OFF, position_floor, rms
+from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.simulation.simulator import Simulator
 
 pytestmark = pytest.mark.long
 

@@ -12,18 +12,18 @@ from cli_support import call
 from mechanism_support import NAMES, pendulum, pendulum_mapping, signals_of
 from numpy.testing import assert_allclose
 
+from puma_sim_core.arm.kinematics import first_derivatives
+from puma_sim_core.arm.rigid_body import arm_pseudo_inertias, arm_table, trace_coriolis, trace_gravity, trace_inertia
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.errors import ModelError, ParameterError, PumaSimError
 from puma_sim_core.files import yaml_text
-from puma_sim_core.kinematics import first_derivatives
-from puma_sim_core.known_effects import known_voltage
-from puma_sim_core.mechanisms import load_mechanism, mechanism_names
-from puma_sim_core.one_joint import OneJoint
-from puma_sim_core.plant import Plant, dump_model, load_model
-from puma_sim_core.recording import Recording, write_csv
+from puma_sim_core.identify.screening.known_effects import known_voltage
+from puma_sim_core.plant.mechanism import load_mechanism, mechanism_names
+from puma_sim_core.plant.one_joint import OneJoint
+from puma_sim_core.plant.plant import Plant, dump_model, load_model
+from puma_sim_core.recording.recording import Recording, write_csv
 from puma_sim_core.resources import config_path
-from puma_sim_core.rigid_body import arm_pseudo_inertias, arm_table, trace_coriolis, trace_gravity, trace_inertia
-from puma_sim_core.simulator import Simulator
+from puma_sim_core.simulation.simulator import Simulator
 
 RNG = np.random.default_rng(20)
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from puma_sim_core.control.metrics import effort, joint_step_quality, setpoint_step, step_quality, tracking_error
 from puma_sim_core.errors import ParameterError
-from puma_sim_core.recording import Recording
+from puma_sim_core.recording.recording import Recording
 
 TIME = np.linspace(0.0, 20.0, 40001)
 

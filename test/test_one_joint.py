@@ -17,9 +17,9 @@ from scipy.special import ellipk
 
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.errors import ParameterError
-from puma_sim_core.mechanisms import load_mechanism
-from puma_sim_core.plant import Plant
-from puma_sim_core.simulator import Simulator
+from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.simulation.simulator import Simulator
 
 
 def test_pendulum_moves_as_its_equation():
@@ -86,7 +86,7 @@ def test_an_arm_without_current_falls_as_with_open_motors():
     simulator.reset([0.1, 0.2, -0.3])
     time = np.arange(0.0, 0.4, 1e-3)
     run = simulator.run(time, np.full((len(time), 3), 20.0), enable=np.zeros(len(time)))
-    from puma_sim_core.rigid_body import inertia
+    from puma_sim_core.arm.rigid_body import inertia
 
     D = inertia(run.position, plant.arm) + np.diag(plant.arm.motor_inertia)
     kinetic = 0.5 * np.einsum("ni,nij,nj->n", run.velocity, D, run.velocity)
@@ -146,7 +146,7 @@ def test_effects_act_on_one_joint_as_on_the_third_of_an_arm(effect):
     voltage = (2.0 * np.sin(11.0 * time))[:, None]
     plant = pendulum([effect])
     run = Simulator(plant).run(time, voltage)
-    from puma_sim_core.simulator import Constraint
+    from puma_sim_core.simulation.simulator import Constraint
 
     third = parse_effect(effect.replace("joint=1", "joint=3"))
     arm = Plant(plant.arm, (parse_effect("viscous_friction:joint=3,coefficient=0.0066"), third))
@@ -179,7 +179,7 @@ def test_what_a_single_joint_refuses():
         Simulator(pendulum()).run([0.0, 1.0], np.zeros((2, 3)))
     with pytest.raises(ParameterError, match="arm of three"):
         Simulator(pendulum()).run_servo(np.zeros((2, 3)))
-    from puma_sim_core.session import SessionConfig
+    from puma_sim_core.simulation.session import SessionConfig
 
     with pytest.raises(ParameterError, match="puma-sim simulate"):
         SessionConfig(pendulum())

@@ -14,9 +14,7 @@ import numpy as np
 import pytest
 import yaml
 
-from puma_sim_core.effects import parse_effect
-from puma_sim_core.errors import ParameterError
-from puma_sim_core.parameters import (
+from puma_sim_core.arm.parameters import (
     Link,
     check_parameters,
     dump_parameters,
@@ -26,6 +24,8 @@ from puma_sim_core.parameters import (
     smallest_eigenvalue,
     to_mapping,
 )
+from puma_sim_core.effects import parse_effect
+from puma_sim_core.errors import ParameterError
 from puma_sim_core.resources import config_path
 
 SETS = ["bejczy", "armstrong", "average", "corke_armstrong_1994", "paul", "tuned"]
@@ -388,7 +388,7 @@ def test_table_7_1_as_printed_is_refused():
 
 
 def test_error_names_the_pose_and_the_eigenvalue():
-    from puma_sim_core.rigid_body import inertia
+    from puma_sim_core.arm.rigid_body import inertia
 
     arm = table_7_1(0.0516)
     with pytest.raises(ParameterError) as caught:
@@ -407,7 +407,7 @@ def test_error_names_the_pose_and_the_eigenvalue():
 
 def test_smallest_eigenvalue_is_not_missed_between_the_poses(arm):
     # against a grid of 1 degree over the same ranges; two almost equal minima may be far apart
-    from puma_sim_core.rigid_body import inertia
+    from puma_sim_core.arm.rigid_body import inertia
 
     (low2, high2), (low3, high3) = arm.joint_ranges[1:]
     q2, q3 = np.meshgrid(np.linspace(low2, high2, 267), np.linspace(low3, high3, 285))
@@ -456,7 +456,7 @@ def test_values_made_in_python_are_checked_too(change, message):
 
 def test_module_is_light():
     code = (
-        "import sys, puma_sim_core.parameters; "
+        "import sys, puma_sim_core.arm.parameters; "
         "print(sorted({'scipy', 'numba', 'rclpy', 'mcap', 'matplotlib'} & set(sys.modules)))"
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

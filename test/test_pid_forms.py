@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from arm_reference import bits, plant_of
 
-from puma_sim_core.control.pid import Pid, PidGains, gains_of_recursive, recursive_coefficients
-from puma_sim_core.control.servo import ServoConfig
+from puma_sim_core.dynamics.pid import Pid, PidGains, gains_of_recursive, recursive_coefficients
+from puma_sim_core.dynamics.servo import ServoConfig
 from puma_sim_core.errors import ParameterError
-from puma_sim_core.session import Session, SessionConfig
-from puma_sim_core.simulator import SERVO_PERIOD, Simulator
+from puma_sim_core.simulation.session import Session, SessionConfig
+from puma_sim_core.simulation.simulator import SERVO_PERIOD, Simulator
 
 H = SERVO_PERIOD
 GAINS = PidGains(90.0, 0.225, 0.05625)

@@ -11,12 +11,12 @@ import pytest
 from arm_reference import bits, plant_of
 
 import puma_sim_core
+from puma_sim_core.arm.parameters import load_parameters, parameter_sets
 from puma_sim_core.effects import KINDS, Effect
 from puma_sim_core.errors import ModelError, ParameterError
 from puma_sim_core.files import parse_yaml, yaml_text
-from puma_sim_core.parameters import load_parameters, parameter_sets
-from puma_sim_core.plant import MODEL_FORMAT, Plant, dump_model, load_model
-from puma_sim_core.simulator import Simulator
+from puma_sim_core.plant.plant import MODEL_FORMAT, Plant, dump_model, load_model
+from puma_sim_core.simulation.simulator import Simulator
 
 ALL_EFFECTS = (
     "viscous_friction:joint=1,coefficient=5.8",

@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 from arm_reference import plant_of
 
-from puma_sim_core.backend import BACKEND
-from puma_sim_core.bag import BagRecorder, RecordedCommand, read_bag
-from puma_sim_core.control.servo import ServoConfig
+from puma_sim_core.dynamics.servo import ServoConfig
 from puma_sim_core.errors import BagError, CommandError
 from puma_sim_core.files import parse_yaml, yaml_text
-from puma_sim_core.replay import replay
-from puma_sim_core.session import Session, SessionConfig
+from puma_sim_core.jit import BACKEND
+from puma_sim_core.recording.bag import BagRecorder, RecordedCommand, read_bag
+from puma_sim_core.simulation.replay import replay
+from puma_sim_core.simulation.session import Session, SessionConfig
 
 EFFECTS = (
     "coulomb_friction:joint=1,torque=12",
@@ -267,8 +267,8 @@ def test_a_bag_of_one_kernel_replays_in_the_other(tmp_path, interface):
     other = "python" if BACKEND == "numba" else "numba"
     path = record(tmp_path / "run", interface)
     program = (
-        "import sys; from puma_sim_core.backend import BACKEND; "
-        "from puma_sim_core.replay import replay; found = replay(sys.argv[1]); "
+        "import sys; from puma_sim_core.jit import BACKEND; "
+        "from puma_sim_core.simulation.replay import replay; found = replay(sys.argv[1]); "
         "print(BACKEND, found.recorded_kernel, found.identical, found.first_difference)"
     )
     done = subprocess.run(

@@ -13,9 +13,9 @@ pytest.importorskip("rclpy")
 
 from ros_support import Node, Peer, Program, run_program
 
-from puma_sim_core.bag import BagRecorder, read_bag
-from puma_sim_core.plant import Plant
-from puma_sim_core.session import Session, SessionConfig
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.recording.bag import BagRecorder, read_bag
+from puma_sim_core.simulation.session import Session, SessionConfig
 
 STEPS = 30
 

@@ -14,8 +14,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 from ros_support import Node, Peer
 from sensor_msgs.msg import JointState
 
-from puma_sim_core.plant import Plant
-from puma_sim_core.session import Session, SessionConfig
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.simulation.session import Session, SessionConfig
 
 TIMEOUT = 0.112  # four steps
 

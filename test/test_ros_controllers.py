@@ -14,14 +14,14 @@ pytest.importorskip("rclpy")
 
 from ros_support import Node, Peer, arguments, run_program
 
-from puma_sim_core.bag import read_bag
-from puma_sim_core.control.pid import PidGains
-from puma_sim_core.control.servo import ServoConfig
-from puma_sim_core.plant import Plant
-from puma_sim_core.recording import read_csv
-from puma_sim_core.replay import replay, session_of
+from puma_sim_core.dynamics.pid import PidGains
+from puma_sim_core.dynamics.servo import ServoConfig
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.recording.bag import read_bag
+from puma_sim_core.recording.recording import read_csv
 from puma_sim_core.resources import config_path
-from puma_sim_core.session import Session, SessionConfig
+from puma_sim_core.simulation.replay import replay, session_of
+from puma_sim_core.simulation.session import Session, SessionConfig
 
 START = (0.0, -1.2, 1.0)
 STEPS = 20

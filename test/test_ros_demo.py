@@ -10,7 +10,7 @@ pytest.importorskip("rclpy")
 
 from ros_support import run_program
 
-from puma_sim_core.replay import replay
+from puma_sim_core.simulation.replay import replay
 
 
 def test_demo(tmp_path):

@@ -18,10 +18,10 @@ from ros_support import PERIOD_NS, Node, Peer, step_of, time_ns
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
-from puma_sim_core.parameters import load_parameters
-from puma_sim_core.plant import Plant
-from puma_sim_core.session import SessionConfig
-from puma_sim_core.urdf import arm_urdf
+from puma_sim_core.arm.parameters import load_parameters
+from puma_sim_core.arm.urdf import arm_urdf
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.simulation.session import SessionConfig
 from puma_sim_ros.messages import qos
 
 ARRAY, JOINTS = "std_msgs/msg/Float64MultiArray", "sensor_msgs/msg/JointState"

@@ -13,9 +13,9 @@ pytest.importorskip("rclpy")
 
 from ros_support import Node, Peer, arguments, run_program, step_of
 
-from puma_sim_core.bag import read_bag
-from puma_sim_core.recording import read_csv
-from puma_sim_core.replay import replay
+from puma_sim_core.recording.bag import read_bag
+from puma_sim_core.recording.recording import read_csv
+from puma_sim_core.simulation.replay import replay
 
 
 def volts_of(step):

@@ -16,10 +16,10 @@ pytest.importorskip("rclpy")
 
 from ros_support import Node, Peer, environment, run_program, step_of
 
-from puma_sim_core.loop import bag_log
-from puma_sim_core.loop.ingest import read_log
-from puma_sim_core.mechanisms import load_mechanism
-from puma_sim_core.plant import load_model
+from puma_sim_core.identify.data import bag_log
+from puma_sim_core.identify.data.ingest import read_log
+from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.plant.plant import load_model
 from puma_sim_ros.exciting_motion import MIDDLE, expected_volts, motion
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(600)]

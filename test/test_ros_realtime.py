@@ -13,8 +13,8 @@ pytest.importorskip("rclpy")
 
 from ros_support import PERIOD_NS, Node, Peer, step_of, time_ns
 
-from puma_sim_core.bag import read_bag
-from puma_sim_core.replay import replay
+from puma_sim_core.recording.bag import read_bag
+from puma_sim_core.simulation.replay import replay
 
 
 class Running:

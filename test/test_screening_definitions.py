@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from screening_support import DRIVE, recorded, reference, resistance, signals_of
 
-from puma_sim_core.backend import interpreted
 from puma_sim_core.effects import KINDS, Effect
 from puma_sim_core.effects.columns import EXACT_TIES, SCREENINGS, WHOLE_ARM, transmission
 from puma_sim_core.effects.columns.common import derivative, recursion, smooth_sign
 from puma_sim_core.effects.screening import Illegal, Screening, Signals
+from puma_sim_core.jit import interpreted
 
 every_name = pytest.mark.parametrize("name", list(SCREENINGS))
 

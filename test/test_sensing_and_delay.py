@@ -12,16 +12,16 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from test_effect_library import HOLD, LIBRARY, START, VISCOUS
 
-from puma_sim_core.bag.recorder import BagRecorder
-from puma_sim_core.control.pid import Pid
-from puma_sim_core.control.servo import ServoConfig
+from puma_sim_core.dynamics.pid import Pid
+from puma_sim_core.dynamics.sensed import settled_positions, true_motion
+from puma_sim_core.dynamics.servo import ServoConfig
 from puma_sim_core.effects import SENSED
 from puma_sim_core.files import yaml_text
-from puma_sim_core.replay import replay
-from puma_sim_core.restart import run_windows
-from puma_sim_core.sensed import settled_positions, true_motion
-from puma_sim_core.session import Session, SessionConfig
-from puma_sim_core.simulator import SERVO_PERIOD, Constraint, Simulator
+from puma_sim_core.recording.bag.recorder import BagRecorder
+from puma_sim_core.simulation.replay import replay
+from puma_sim_core.simulation.session import Session, SessionConfig
+from puma_sim_core.simulation.simulator import SERVO_PERIOD, Constraint, Simulator
+from puma_sim_core.simulation.windows import run_windows
 
 CURVED = (
     "sensor_nonlinearity:joint=1,amplitude=0.02,period=0.9,phase=0.4",

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from arm_reference import arm_of, bits, plant_of
 
-from puma_sim_core.control.pid import PidGains
-from puma_sim_core.control.servo import ServoConfig
+from puma_sim_core.dynamics.pid import PidGains
+from puma_sim_core.dynamics.servo import ServoConfig
 from puma_sim_core.errors import CommandError, NonFiniteStateError
-from puma_sim_core.session import Session, SessionConfig
-from puma_sim_core.simulator import SERVO_PERIOD, Simulator
+from puma_sim_core.simulation.session import Session, SessionConfig
+from puma_sim_core.simulation.simulator import SERVO_PERIOD, Simulator
 
 EFFECTS = (
     "coulomb_friction:joint=1,torque=12",

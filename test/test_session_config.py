@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_session import EFFECTS, all_bits, config_of, position_config
 
-from puma_sim_core.control.pid import PidGains
-from puma_sim_core.control.servo import ServoConfig
+from puma_sim_core.dynamics.pid import PidGains
+from puma_sim_core.dynamics.servo import ServoConfig
 from puma_sim_core.errors import ModelError, ParameterError
 from puma_sim_core.files import parse_yaml, yaml_text
-from puma_sim_core.session import Session, SessionConfig
+from puma_sim_core.simulation.session import Session, SessionConfig
 
 finite = st.floats(-1e6, 1e6)
 triple = st.tuples(finite, finite, finite)

@@ -14,9 +14,9 @@ from arm_reference import START, VISCOUS, bits, plant_of, smooth_voltages
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from puma_sim_core.control.servo import ServoConfig
+from puma_sim_core.dynamics.servo import ServoConfig
 from puma_sim_core.errors import LimitError, NonFiniteStateError, ParameterError
-from puma_sim_core.simulator import GREATEST_STEP, SERVO_PERIOD, Constraint, Limits, Simulator, check_step
+from puma_sim_core.simulation.simulator import GREATEST_STEP, SERVO_PERIOD, Constraint, Limits, Simulator, check_step
 
 #: every kind of effect at once
 EFFECTS = (

@@ -9,10 +9,10 @@ import pytest
 from arm_reference import mass_matrix, plant_of, smooth_voltages
 from scipy.integrate import solve_ivp
 
-from puma_sim_core.backend import BACKEND
-from puma_sim_core.control.servo import ServoConfig
-from puma_sim_core.rigid_body import gravity_torque
-from puma_sim_core.simulator import Constraint, Simulator
+from puma_sim_core.arm.rigid_body import gravity_torque
+from puma_sim_core.dynamics.servo import ServoConfig
+from puma_sim_core.jit import BACKEND
+from puma_sim_core.simulation.simulator import Constraint, Simulator
 
 pytestmark = pytest.mark.long
 #: friction of each joint: level for positive and negative motion, Stribeck excess, its velocity

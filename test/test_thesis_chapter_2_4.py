@@ -10,10 +10,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from puma_sim_core.kinematics import forward_kinematics
-from puma_sim_core.parameters import load_parameters, parameter_sets
-from puma_sim_core.printed_coefficients import misprints
-from puma_sim_core.rigid_body import coriolis, gravity_torque, inertia
+from puma_sim_core.arm.kinematics import forward_kinematics
+from puma_sim_core.arm.parameters import load_parameters, parameter_sets
+from puma_sim_core.arm.printed_coefficients import misprints
+from puma_sim_core.arm.rigid_body import coriolis, gravity_torque, inertia
 from puma_sim_core.thesis import chapter_2, chapter_4, terms
 from puma_sim_core.thesis.registry import Context, experiments
 

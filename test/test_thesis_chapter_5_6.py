@@ -10,14 +10,14 @@ import math
 import numpy as np
 import pytest
 
-from puma_sim_core.parameters import load_parameters
-from puma_sim_core.plant import Plant
-from puma_sim_core.simulator import Constraint, Simulator
+from puma_sim_core.arm.parameters import load_parameters
+from puma_sim_core.arm.third_order import joint_torque_per_ampere
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.simulation.simulator import Constraint, Simulator
 from puma_sim_core.thesis import chapter_5_6, chapter_6_1, chapter_6_2, integration
 from puma_sim_core.thesis.misprints import chapter_6 as misprints_6
 from puma_sim_core.thesis.misprints.reference import nominal
 from puma_sim_core.thesis.registry import Context
-from puma_sim_core.third_order import joint_torque_per_ampere
 
 pytestmark = pytest.mark.long
 UPRIGHT = np.array([0.0, -math.pi / 2, math.pi / 2])
@@ -239,7 +239,7 @@ def test_corrected_p_moves_the_arm_rightly_and_each_misprint_does_not(results):
 
 
 def test_corrected_jerk_is_that_of_the_third_order_module():
-    from puma_sim_core.third_order import jerk
+    from puma_sim_core.arm.third_order import jerk
 
     rng = np.random.default_rng(6)
     for _ in range(20):

@@ -10,13 +10,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from puma_sim_core.backend import BACKEND
-from puma_sim_core.control.ziegler_nichols import settings
-from puma_sim_core.plant import Plant
-from puma_sim_core.simulator import SERVO_PERIOD
+from puma_sim_core.jit import BACKEND
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.simulation.simulator import SERVO_PERIOD
 from puma_sim_core.thesis import chapter_7_7_4 as search
 from puma_sim_core.thesis.registry import Context, find
 from puma_sim_core.thesis.tuning import CASES, UPRIGHT, path, printed_pid, run
+from puma_sim_core.tuning.ziegler_nichols import settings
 
 pytestmark = [
     pytest.mark.long,

@@ -9,13 +9,13 @@ from math import log
 import numpy as np
 import pytest
 
-from puma_sim_core.control.identification import identify_pid
-from puma_sim_core.control.pid import PidGains, recursive_coefficients
-from puma_sim_core.kinematics import wrist_position
-from puma_sim_core.plant import Plant
+from puma_sim_core.arm.kinematics import wrist_position
+from puma_sim_core.dynamics.pid import PidGains, recursive_coefficients
+from puma_sim_core.plant.plant import Plant
 from puma_sim_core.thesis import chapter_7_8 as section
 from puma_sim_core.thesis import controller_records as records
 from puma_sim_core.thesis.registry import Context, experiments
+from puma_sim_core.tuning.pid_identification import identify_pid
 
 pytestmark = pytest.mark.long
 

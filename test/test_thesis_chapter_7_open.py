@@ -12,10 +12,10 @@ from arm_reference import open_circuit as reference_open_circuit
 from arm_reference import right_hand_side
 from scipy.integrate import solve_ivp
 
-from puma_sim_core.backend import BACKEND
+from puma_sim_core.arm.rigid_body import arm_pseudo_inertias, arm_table, trace_gravity
 from puma_sim_core.effects import parse_effect
-from puma_sim_core.plant import Plant
-from puma_sim_core.rigid_body import arm_pseudo_inertias, arm_table, trace_gravity
+from puma_sim_core.jit import BACKEND
+from puma_sim_core.plant.plant import Plant
 from puma_sim_core.thesis import chapter_7_2, chapter_7_3, chapter_7_4, chapter_7_5
 from puma_sim_core.thesis.motions import crossing_time, drive, first_time, one_joint, open_circuit
 from puma_sim_core.thesis.registry import Context
@@ -262,7 +262,7 @@ def test_the_first_drop_comes_from_the_brakes_and_not_from_the_missing_current(r
     drop = np.array(numbers["drop_on_its_brakes_rad"])
     assert (drop[1:] > 0.01).all()
     # a shorted motor under a load G creeps at R G / (kT ke N)
-    from puma_sim_core.rigid_body import gravity_torque
+    from puma_sim_core.arm.rigid_body import gravity_torque
 
     G = gravity_torque(np.array(chapter_7_5.START), plant.arm)
     creep = (

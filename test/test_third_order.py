@@ -14,10 +14,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from puma_sim_core.errors import ParameterError
-from puma_sim_core.parameters import load_parameters, parameter_sets
-from puma_sim_core.rigid_body import coriolis, gravity_torque, inertia
-from puma_sim_core.third_order import (
+from puma_sim_core.arm.parameters import load_parameters, parameter_sets
+from puma_sim_core.arm.rigid_body import coriolis, gravity_torque, inertia
+from puma_sim_core.arm.third_order import (
     acceleration_from_current,
     current_from_acceleration,
     current_rate,
@@ -25,6 +24,7 @@ from puma_sim_core.third_order import (
     joint_torque_per_ampere,
     matrices,
 )
+from puma_sim_core.errors import ParameterError
 
 FORMS = ("physical", "printed")
 VISCOUS = (0.3, 0.5, 0.2)

@@ -30,11 +30,11 @@ from two_mass_support import (
     whole_energy,
 )
 
+from puma_sim_core.arm.rigid_body import gravity_torque, inertia
 from puma_sim_core.errors import ParameterError
-from puma_sim_core.recording import read_csv
-from puma_sim_core.rigid_body import gravity_torque, inertia
-from puma_sim_core.session import SessionConfig
-from puma_sim_core.simulator import SERVO_PERIOD
+from puma_sim_core.recording.recording import read_csv
+from puma_sim_core.simulation.session import SessionConfig
+from puma_sim_core.simulation.simulator import SERVO_PERIOD
 
 pytestmark = pytest.mark.long
 SYSTEMS = {

@@ -10,9 +10,9 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
-from puma_sim_core.kinematics import forward_kinematics, link_transforms
-from puma_sim_core.parameters import load_parameters, parameter_sets
-from puma_sim_core.urdf import arm_urdf
+from puma_sim_core.arm.kinematics import forward_kinematics, link_transforms
+from puma_sim_core.arm.parameters import load_parameters, parameter_sets
+from puma_sim_core.arm.urdf import arm_urdf
 
 
 def rpy_matrix(roll, pitch, yaw):

@@ -13,7 +13,8 @@ from arm_reference import plant_of
 from cli_support import call
 from scipy.integrate import solve_ivp
 
-from puma_sim_core.backend import BACKEND
+from puma_sim_core.arm.parameters import load_parameters
+from puma_sim_core.arm.rigid_body import gravity_torque, lumped_constants
 from puma_sim_core.control.linear import (
     is_linear,
     least_damped,
@@ -23,9 +24,13 @@ from puma_sim_core.control.linear import (
     radius,
     sampled,
 )
-from puma_sim_core.control.pid import PidGains
-from puma_sim_core.control.servo import ServoConfig
-from puma_sim_core.control.ziegler_nichols import (
+from puma_sim_core.dynamics.pid import PidGains
+from puma_sim_core.dynamics.servo import ServoConfig
+from puma_sim_core.errors import LimitError, ParameterError, TuningError
+from puma_sim_core.jit import BACKEND
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.simulation.simulator import Constraint, Simulator
+from puma_sim_core.tuning.ziegler_nichols import (
     Loop,
     Ultimate,
     settings,
@@ -33,11 +38,6 @@ from puma_sim_core.control.ziegler_nichols import (
     ultimate_by_simulation,
     ultimate_map,
 )
-from puma_sim_core.errors import LimitError, ParameterError, TuningError
-from puma_sim_core.parameters import load_parameters
-from puma_sim_core.plant import Plant
-from puma_sim_core.rigid_body import gravity_torque, lumped_constants
-from puma_sim_core.simulator import Constraint, Simulator
 
 PERIOD = 0.028 / 30.0
 UPRIGHT, HORIZONTAL = (0.0, -pi / 2, pi / 2), (0.0, 0.0, pi / 2)

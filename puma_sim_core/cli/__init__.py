@@ -14,11 +14,22 @@ import re
 import sys
 from collections.abc import Callable, Sequence
 
-from .. import __version__
-from ..errors import PumaSimError
-from . import bench, excite, explain, identify_controller, listing, model, recover, replay, simulate, thesis, tune
+from puma_sim_core import __version__
+from puma_sim_core.cli import (
+    excite,
+    explain,
+    identify_controller,
+    listing,
+    model,
+    recover,
+    replay,
+    simulate,
+    thesis,
+    tune,
+)
+from puma_sim_core.errors import PumaSimError
 
-_COMMANDS = (simulate, explain, excite, replay, recover, listing, model, thesis, tune, identify_controller, bench)
+_COMMANDS = (simulate, explain, excite, replay, recover, listing, model, thesis, tune, identify_controller)
 #: a value such as -0.1,0,0, which argparse would take for an option
 _NEGATIVE = re.compile(r"-\.?[0-9]")
 
@@ -53,8 +64,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     reader of the output went away. A wrong command line ends by SystemExit(2), as argparse does.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
-    if arguments[:1] == [bench.NAME]:
-        return _guarded(lambda: bench.run_arguments(arguments[1:]))
     options = parser().parse_args(_with_equals(arguments))
     return _guarded(lambda: options.run(options))
 

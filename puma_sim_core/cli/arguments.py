@@ -8,10 +8,10 @@ import argparse
 from math import isfinite
 from typing import TYPE_CHECKING
 
-from ..errors import ParameterError
+from puma_sim_core.errors import ParameterError
 
 if TYPE_CHECKING:
-    from ..plant import Plant
+    from puma_sim_core.plant.plant import Plant
 
 
 def number(text: str, option: str) -> float:
@@ -79,8 +79,8 @@ def add_plant_arguments(parser: argparse.ArgumentParser) -> None:
 
 def plant_of(options: argparse.Namespace) -> Plant:
     """The plant of the options; raises ParameterError or ModelError."""
-    from ..effects import parse_effect
-    from ..plant import Plant, load_model
+    from puma_sim_core.effects import parse_effect
+    from puma_sim_core.plant.plant import Plant, load_model
 
     effects = tuple(parse_effect(text) for text in options.effect)
     if options.model is None:

@@ -20,9 +20,9 @@ from __future__ import annotations
 import argparse
 import sys
 
-from ..errors import ParameterError
-from .arguments import number, whole_number
-from .output import Progress, announce_compilation, bar, check_output, output_file
+from puma_sim_core.cli.arguments import number, whole_number
+from puma_sim_core.cli.output import Progress, announce_compilation, bar, check_output, output_file
+from puma_sim_core.errors import ParameterError
 
 NAME = "excite"
 SUMMARY = "write voltages that tell two effects apart, or show one"
@@ -83,10 +83,10 @@ def run(options: argparse.Namespace) -> int:
         if options.setpoints == options.out:
             raise ParameterError(f"'{options.out}' twice", where="--setpoints", expected="another file than --out")
 
-    from ..loop.design import design, suspects_of
-    from ..loop.excitation import Limits
-    from ..mechanisms import load_mechanism
-    from ..simulator import SERVO_PERIOD
+    from puma_sim_core.identify.experiment.design import design, suspects_of
+    from puma_sim_core.identify.experiment.excitation import Limits
+    from puma_sim_core.plant.mechanism import load_mechanism
+    from puma_sim_core.simulation.simulator import SERVO_PERIOD
 
     mechanism = load_mechanism(options.plant, parameters=options.parameters, model=options.model)
     suspects = suspects_of(options.separate.split(","), mechanism, joint)
@@ -106,7 +106,7 @@ def run(options: argparse.Namespace) -> int:
         _write(options.out, head, found.time, "voltage", found.voltage)
         if options.setpoints is not None:
             _write(options.setpoints, head, found.time, "setpoint", found.setpoint)
-    from ..loop.selected import LEAST_GAIN
+    from puma_sim_core.identify.selection.selected import LEAST_GAIN
 
     if found.nats < LEAST_GAIN:
         print(

@@ -25,9 +25,9 @@ import argparse
 import os
 import re
 
-from ..errors import ParameterError
-from .arguments import whole_number
-from .output import Progress, announce_compilation, bar
+from puma_sim_core.cli.arguments import whole_number
+from puma_sim_core.cli.output import Progress, announce_compilation, bar
+from puma_sim_core.errors import ParameterError
 
 NAME = "explain"
 SUMMARY = "find the physical effect that the model lacks in a measured log"
@@ -81,11 +81,11 @@ def run(options: argparse.Namespace) -> int:
     columns = _columns(options.columns)
     _check_logs(options.logs, options.held_out)
 
-    from ..loop.output import check_folder, write_explanation
+    from puma_sim_core.identify.report.output import check_folder, write_explanation
 
     inputs = [*options.logs, *options.held_out, options.plant, options.parameters, options.model]
     check_folder(options.out, [path for path in inputs if path is not None])
-    from ..loop import explain
+    from puma_sim_core.identify import explain
 
     announce_compilation()
     with Progress() as shown:

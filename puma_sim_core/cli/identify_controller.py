@@ -20,13 +20,13 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from ..errors import ParameterError, RecordingError
-from .arguments import number
+from puma_sim_core.cli.arguments import number
+from puma_sim_core.errors import ParameterError, RecordingError
 
 if TYPE_CHECKING:
-    from ..control.controller_log import ControllerLog
-    from ..control.identification import GainComparison, PidEstimate
-    from ..control.transfer_function import TransferFunction
+    from puma_sim_core.tuning.controller_log import ControllerLog
+    from puma_sim_core.tuning.pid_identification import GainComparison, PidEstimate
+    from puma_sim_core.tuning.transfer_function import TransferFunction
 
 NAME = "identify-controller"
 SUMMARY = "find a controller's PID gains from a log"
@@ -69,7 +69,7 @@ def run(options: argparse.Namespace) -> int:
             settings[name] = number(text, f"--{name}")
     level = 0.01 if options.level is None else number(options.level, "--level")
 
-    from ..control.identification import compare_gains, identify_pid
+    from puma_sim_core.tuning.pid_identification import compare_gains, identify_pid
 
     logs = [_log(path, options) for path in (options.log, options.second) if path is not None]
     found = [identify_pid(log, **settings) for log in logs]
@@ -82,7 +82,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _log(path: str, options) -> ControllerLog:
-    from ..control.controller_log import read_controller_log
+    from puma_sim_core.tuning.controller_log import read_controller_log
 
     log = read_controller_log(path, _whole(options.joint, "--joint"))
     if options.position_step is not None:
@@ -102,7 +102,7 @@ def _whole(text: str | None, option: str) -> int | None:
 
 def _free(log, estimate, options) -> TransferFunction | None:
     """The transfer function with a free denominator, where there is one from the error alone."""
-    from ..control.transfer_function import METHODS, identify_transfer_function
+    from puma_sim_core.tuning.transfer_function import METHODS, identify_transfer_function
 
     if estimate.derivative == "measurement" or estimate.saturated:
         return None

@@ -13,10 +13,10 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from ..errors import ParameterError
+from puma_sim_core.errors import ParameterError
 
 if TYPE_CHECKING:
-    from ..effects import Kind, Parameter
+    from puma_sim_core.effects import Kind, Parameter
 
 NAME = "list"
 SUMMARY = "list parameter sets and effects"
@@ -33,8 +33,8 @@ def run(options: argparse.Namespace) -> int:
     """Print; raises ParameterError for an unknown name or a file that is not usable."""
     from pathlib import Path
 
-    from ..effects import KINDS
-    from ..parameters import parameter_sets
+    from puma_sim_core.arm.parameters import parameter_sets
+    from puma_sim_core.effects import KINDS
 
     name, sets = options.name, parameter_sets()
     if name is None:
@@ -54,14 +54,14 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _parameter_file(name: str) -> str:
-    from ..files import yaml_text
-    from ..parameters import load_parameters, to_mapping
+    from puma_sim_core.arm.parameters import load_parameters, to_mapping
+    from puma_sim_core.files import yaml_text
 
     return yaml_text(to_mapping(load_parameters(name)))
 
 
 def _set_text(name: str) -> str:
-    from ..parameters import load_parameters
+    from puma_sim_core.arm.parameters import load_parameters
 
     arm = load_parameters(name)
     lines = [name, f"  {' '.join(arm.source.split())}"]

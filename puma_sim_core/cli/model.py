@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import argparse
 
-from ..errors import ModelError
-from .arguments import add_plant_arguments, input_files, plant_of
-from .output import check_output, output_file
+from puma_sim_core.cli.arguments import add_plant_arguments, input_files, plant_of
+from puma_sim_core.cli.output import check_output, output_file
+from puma_sim_core.errors import ModelError
 
 NAME = "model"
 SUMMARY = "write parameters and effects as one model file"
@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write; raises ParameterError or ModelError."""
-    from ..files import yaml_text
+    from puma_sim_core.files import yaml_text
 
     check_output(options.out, input_files(options))
     text = yaml_text(plant_of(options).to_mapping())

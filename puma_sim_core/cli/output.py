@@ -11,8 +11,8 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import TextIO
 
-from ..errors import PumaSimError, RecordingError
-from ..files import is_special, whole_file
+from puma_sim_core.errors import PumaSimError, RecordingError
+from puma_sim_core.files import is_special, whole_file
 
 #: a command that takes less than this shows no progress [s]
 _PATIENCE = 0.5
@@ -103,7 +103,7 @@ def bar(what: str, share: float) -> str:
 
 def announce_compilation() -> None:
     """Say on standard error that a first run takes longer, where it will."""
-    from ..backend import compiles_first
+    from puma_sim_core.jit import compiles_first
 
     if compiles_first():
         print("puma-sim: compiling the model, some twenty seconds; later runs load it", file=sys.stderr)

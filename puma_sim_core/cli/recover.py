@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Recover and say what was there; raises BagError."""
-    from ..bag import recover
+    from puma_sim_core.recording.bag import recover
 
     found = recover(options.bag, options.out)
     whole = ", all of it: the original was closed" if found.was_complete else ""

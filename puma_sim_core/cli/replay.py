@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import argparse
 
-from ..errors import PumaSimError
-from .arguments import number
-from .output import announce_compilation
+from puma_sim_core.cli.arguments import number
+from puma_sim_core.cli.output import announce_compilation
+from puma_sim_core.errors import PumaSimError
 
 NAME = "replay"
 SUMMARY = "run a bag's commands again and compare, or publish it"
@@ -35,8 +35,8 @@ def run(options: argparse.Namespace) -> int:
         raise PumaSimError(
             f"--rate {options.rate} without --publish", expected="both, or neither: a comparison keeps no pace"
         )
-    from ..backend import BACKEND
-    from ..replay import replay
+    from puma_sim_core.jit import BACKEND
+    from puma_sim_core.simulation.replay import replay
 
     announce_compilation()
     found = replay(options.bag)

@@ -24,14 +24,14 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
-from ..errors import LimitError, NonFiniteStateError, ParameterError, RecordingError
-from .arguments import add_plant_arguments, input_files, joint_numbers, number, plant_of
-from .output import Progress, announce_compilation, check_output, output_file
+from puma_sim_core.cli.arguments import add_plant_arguments, input_files, joint_numbers, number, plant_of
+from puma_sim_core.cli.output import Progress, announce_compilation, check_output, output_file
+from puma_sim_core.errors import LimitError, NonFiniteStateError, ParameterError, RecordingError
 
 if TYPE_CHECKING:
-    from ..recording import Recording
-    from ..restart import OpenLoopErrors
-    from ..simulator import Constraint, Limits, Simulator
+    from puma_sim_core.recording.recording import Recording
+    from puma_sim_core.simulation.simulator import Constraint, Limits, Simulator
+    from puma_sim_core.simulation.windows import OpenLoopErrors
 
 NAME = "simulate"
 SUMMARY = "run a file of voltages through the arm"
@@ -81,8 +81,8 @@ def run(options: argparse.Namespace) -> int:
     _check_combination(options)
     check_output(options.out, [options.file, *input_files(options)])
 
-    from ..backend import BACKEND
-    from ..recording import read_csv, write_rows
+    from puma_sim_core.jit import BACKEND
+    from puma_sim_core.recording.recording import read_csv, write_rows
 
     simulator = _simulator(options)
     plant, joints = simulator.plant, simulator.plant.joints
@@ -149,7 +149,7 @@ def _check_combination(options) -> None:
 
 
 def _simulator(options) -> Simulator:
-    from ..simulator import SERVO_PERIOD, Simulator, check_step
+    from puma_sim_core.simulation.simulator import SERVO_PERIOD, Simulator, check_step
 
     step = (
         SERVO_PERIOD if options.max_step is None else check_step(number(options.max_step, "--max-step"), "--max-step")
@@ -160,7 +160,7 @@ def _simulator(options) -> Simulator:
 
 def _constraints(texts, joints: int) -> list[Constraint]:
     """One constraint a joint from the texts of --constrain; raises ParameterError."""
-    from ..simulator import CONSTRAINTS, Constraint
+    from puma_sim_core.simulation.simulator import CONSTRAINTS, Constraint
 
     found: dict[str, Constraint] = {}
     names = [f"joint{j + 1}" for j in range(joints)]
@@ -192,7 +192,7 @@ def _start(options, plant) -> dict:
 
 
 def _limits(options, simulator) -> Limits:
-    from ..simulator import Limits
+    from puma_sim_core.simulation.simulator import Limits
 
     joints, rad = simulator.plant.joints, simulator.plant.position_unit
 
@@ -223,9 +223,9 @@ def _run(simulator: Simulator, log: Recording, acceleration: bool, progress) -> 
     """Run all rows, some at a time; the same bits as in one call."""
     import numpy as np
 
-    from ..backend import BACKEND
-    from ..recording import Recording
-    from ..simulator import step_counts
+    from puma_sim_core.jit import BACKEND
+    from puma_sim_core.recording.recording import Recording
+    from puma_sim_core.simulation.simulator import step_counts
 
     counts = step_counts(np.diff(log.time), simulator.max_step)
     block = np.cumsum(counts) // _STEPS_AT_ONCE[BACKEND]
@@ -253,7 +253,7 @@ def _run(simulator: Simulator, log: Recording, acceleration: bool, progress) -> 
 
 
 def _run_windows(simulator, log, interval, limits, progress):
-    from ..restart import run_windows
+    from puma_sim_core.simulation.windows import run_windows
 
     return run_windows(
         simulator,

@@ -19,13 +19,13 @@ import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..errors import ParameterError, RecordingError
-from .arguments import whole_number
-from .output import Progress, bar, check_output, output_file
+from puma_sim_core.cli.arguments import whole_number
+from puma_sim_core.cli.output import Progress, bar, check_output, output_file
+from puma_sim_core.errors import ParameterError, RecordingError
 
 if TYPE_CHECKING:
-    from ..thesis.registry import Experiment
-    from ..thesis.result import Result, Row
+    from puma_sim_core.thesis.registry import Experiment
+    from puma_sim_core.thesis.result import Result, Row
 
 NAME = "thesis"
 SUMMARY = "list or run the experiments of the thesis, with a page of the results"
@@ -53,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """List or run; raises ParameterError or RecordingError."""
-    from ..thesis.registry import experiments, find
+    from puma_sim_core.thesis.registry import experiments, find
 
     seed = whole_number(options.seed, "--seed", 0)
     jobs = _cores() if options.jobs is None else whole_number(options.jobs, "--jobs", 1)
@@ -75,9 +75,9 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _write(options: argparse.Namespace, chosen: list[Experiment], seed: int, jobs: int) -> int:
-    from ..thesis.drawing import require_matplotlib
-    from ..thesis.json_file import json_text
-    from ..thesis.report import page
+    from puma_sim_core.thesis.drawing import require_matplotlib
+    from puma_sim_core.thesis.json_file import json_text
+    from puma_sim_core.thesis.report import page
 
     require_matplotlib()
     folder = Path(options.out)
@@ -104,7 +104,7 @@ def _write(options: argparse.Namespace, chosen: list[Experiment], seed: int, job
 
 
 def _results(chosen: list[Experiment], seed: int, jobs: int) -> dict:
-    from ..thesis.runner import run as run_experiments
+    from puma_sim_core.thesis.runner import run as run_experiments
 
     with Progress() as shown:
         return run_experiments(chosen, seed, jobs, lambda what, share: shown(bar(what, share), share, 1))
@@ -129,7 +129,7 @@ def _print(results: dict[str, tuple[Experiment, Result]]) -> None:
 
 
 def _table(rows: tuple[Row, ...], wide: int, heads: tuple[str, str]) -> str:
-    from ..thesis.report import number_text
+    from puma_sim_core.thesis.report import number_text
 
     column = max(12, min(22, (wide - 36) // 2))
     first = wide - 2 * (column + 2)

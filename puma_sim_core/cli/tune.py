@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import argparse
 
-from ..errors import ParameterError
-from .arguments import add_plant_arguments, number, plant_of, three_numbers
+from puma_sim_core.cli.arguments import add_plant_arguments, number, plant_of, three_numbers
+from puma_sim_core.errors import ParameterError
 
 NAME = "tune"
 SUMMARY = "ultimate gain, period and PID settings of a joint at a pose"
@@ -41,9 +41,15 @@ def run(options: argparse.Namespace) -> int:
 
     from math import inf, radians
 
-    from ..control.linear import is_linear
-    from ..control.ziegler_nichols import SETTINGS, Loop, settings, ultimate_by_eigenvalues, ultimate_by_simulation
-    from ..simulator import SERVO_PERIOD
+    from puma_sim_core.control.linear import is_linear
+    from puma_sim_core.simulation.simulator import SERVO_PERIOD
+    from puma_sim_core.tuning.ziegler_nichols import (
+        SETTINGS,
+        Loop,
+        settings,
+        ultimate_by_eigenvalues,
+        ultimate_by_simulation,
+    )
 
     plant = plant_of(options)
     if plant.joints != 3:

@@ -27,12 +27,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from math import cos, exp, inf, isfinite, sin
 
-from ..backend import interpreted
-from ..errors import ParameterError
-from ..kernel import rigid_body
-from ..parameters import ArmParameters
-from ..plant import Plant
-from .reference import SetpointReference
+from puma_sim_core.arm.parameters import ArmParameters
+from puma_sim_core.control.reference import SetpointReference
+from puma_sim_core.dynamics.rigid import rigid_body
+from puma_sim_core.errors import ParameterError
+from puma_sim_core.jit import interpreted
+from puma_sim_core.plant.plant import Plant
 
 _rigid_body = interpreted(rigid_body)
 #: share of the speed at which the back-EMF takes all of the voltage limit

@@ -12,14 +12,14 @@ from collections.abc import Mapping
 from copy import deepcopy
 from math import inf
 
-from ..errors import ParameterError
-from ..files import read_yaml
-from ..parameters import ArmParameters
-from ..plant import Plant
-from ..resources import config_path
-from .computed_torque import ComputedTorque
-from .pid import Pid, PidGains
-from .scheduled import GainSchedule, ScheduledPid
+from puma_sim_core.arm.parameters import ArmParameters
+from puma_sim_core.control.computed_torque import ComputedTorque
+from puma_sim_core.control.scheduled import GainSchedule, ScheduledPid
+from puma_sim_core.dynamics.pid import Pid, PidGains
+from puma_sim_core.errors import ParameterError
+from puma_sim_core.files import read_yaml
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.resources import config_path
 
 KINDS = ("pid", "scheduled", "computed_torque")
 #: "servo": thirty samples in 28 ms, no delay; "external": one each 28 ms, a sample late

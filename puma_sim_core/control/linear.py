@@ -16,9 +16,9 @@ from math import inf
 import numpy as np
 from scipy.linalg import expm
 
-from ..plant import Plant
-from ..rigid_body import gravity_torque, inertia
-from .pid import PidGains
+from puma_sim_core.arm.rigid_body import gravity_torque, inertia
+from puma_sim_core.dynamics.pid import PidGains
+from puma_sim_core.plant.plant import Plant
 
 
 def is_linear(plant: Plant) -> bool:

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..errors import ParameterError
-from ..recording import Recording
+from puma_sim_core.errors import ParameterError
+from puma_sim_core.recording.recording import Recording
 
 
 class StepQuality(NamedTuple):

@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import copysign, isfinite, sqrt
 
-from ..errors import ParameterError
+from puma_sim_core.errors import ParameterError
 
 #: delay of the spline in periods of the setpoints
 _LATE = 1.5

@@ -16,9 +16,9 @@ from math import inf, isfinite
 
 import numpy as np
 
-from ..backend import interpreted
-from ..errors import ParameterError
-from .pid import PidGains, pid_law
+from puma_sim_core.dynamics.pid import PidGains, pid_law
+from puma_sim_core.errors import ParameterError
+from puma_sim_core.jit import interpreted
 
 _law = interpreted(pid_law)
 _NAMES = ("gain", "integral_time", "derivative_time")

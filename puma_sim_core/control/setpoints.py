@@ -11,10 +11,10 @@ from math import ceil, isfinite
 
 import numpy as np
 
-from ..errors import ParameterError
-from ..inverse_kinematics import wrist_angles
-from ..kinematics import wrist_position
-from ..parameters import ArmParameters
+from puma_sim_core.arm.inverse_kinematics import wrist_angles
+from puma_sim_core.arm.kinematics import wrist_position
+from puma_sim_core.arm.parameters import ArmParameters
+from puma_sim_core.errors import ParameterError
 
 
 def smooth_share(tau):

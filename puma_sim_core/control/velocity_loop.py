@@ -12,10 +12,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import exp, inf, isfinite
 
-from ..backend import interpreted
-from ..errors import ParameterError
-from .pid import pid_law
-from .reference import SetpointReference
+from puma_sim_core.control.reference import SetpointReference
+from puma_sim_core.dynamics.pid import pid_law
+from puma_sim_core.errors import ParameterError
+from puma_sim_core.jit import interpreted
 
 _law = interpreted(pid_law)
 

@@ -6,9 +6,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from ..errors import ParameterError
-from . import amplifier, friction, load, motor, outside, sensing, stops, transmission
-from .base import (
+from puma_sim_core.effects import amplifier, friction, load, motor, outside, sensing, stops, transmission
+from puma_sim_core.effects.base import (
     ALWAYS,
     BRISTLE,
     CURRENT_LIMIT,
@@ -26,6 +25,7 @@ from .base import (
     Kind,
     Parameter,
 )
+from puma_sim_core.errors import ParameterError
 
 __all__ = [
     "ALWAYS",

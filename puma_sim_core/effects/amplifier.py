@@ -6,9 +6,9 @@ from __future__ import annotations
 
 from math import inf
 
-from ..backend import inlined
-from .base import ALWAYS, CURRENT, CURRENT_LIMIT, DELAYED, DROOP, VOLTAGE, Kind, Parameter
-from .columns import SCREENINGS
+from puma_sim_core.effects.base import ALWAYS, CURRENT, CURRENT_LIMIT, DELAYED, DROOP, VOLTAGE, Kind, Parameter
+from puma_sim_core.effects.columns import SCREENINGS
+from puma_sim_core.jit import inlined
 
 SATURATION = Kind(
     name="voltage_saturation",

@@ -17,11 +17,11 @@ from dataclasses import dataclass, field
 from math import isfinite
 from typing import TYPE_CHECKING
 
-from ..errors import ParameterError
+from puma_sim_core.errors import ParameterError
 
 if TYPE_CHECKING:
-    from ..parameters import ArmParameters
-    from .screening import Screening
+    from puma_sim_core.arm.parameters import ArmParameters
+    from puma_sim_core.effects.screening import Screening
 
 #: where an effect acts
 VOLTAGE, CURRENT, TORQUE, TRANSMISSION, LOAD, SENSING = (
@@ -97,14 +97,14 @@ class Kind:
 
     def __reduce_ex__(self, protocol):
         """By its name: its functions cannot go to another process."""
-        from . import KINDS
+        from puma_sim_core.effects import KINDS
 
         registered = KINDS.get(self.name) is self
         return (_registered, (self.name,)) if registered else super().__reduce_ex__(protocol)
 
 
 def _registered(name: str) -> Kind:
-    from . import KINDS
+    from puma_sim_core.effects import KINDS
 
     return KINDS[name]
 

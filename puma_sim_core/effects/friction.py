@@ -11,9 +11,9 @@ from __future__ import annotations
 
 from math import cos, exp
 
-from ..backend import inlined
-from .base import ALWAYS, BRISTLE, DRY, POSED, SMOOTH, TIMED, TORQUE, VARYING, Kind, Parameter
-from .columns import SCREENINGS
+from puma_sim_core.effects.base import ALWAYS, BRISTLE, DRY, POSED, SMOOTH, TIMED, TORQUE, VARYING, Kind, Parameter
+from puma_sim_core.effects.columns import SCREENINGS
+from puma_sim_core.jit import inlined
 
 #: past this exponent the Stribeck bump is below the last bit of any level it is added to
 _NEGLIGIBLE_EXPONENT = 40.0

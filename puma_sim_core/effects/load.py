@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .base import ALWAYS, LOAD, Kind, Parameter
-from .columns import SCREENINGS
+from puma_sim_core.effects.base import ALWAYS, LOAD, Kind, Parameter
+from puma_sim_core.effects.columns import SCREENINGS
 
 if TYPE_CHECKING:
-    from ..parameters import ArmParameters
+    from puma_sim_core.arm.parameters import ArmParameters
 
 
 def attach_payload(arm: ArmParameters, values: dict[str, float]) -> ArmParameters:

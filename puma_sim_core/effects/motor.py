@@ -6,9 +6,9 @@ from __future__ import annotations
 
 from math import exp, sin
 
-from ..backend import inlined
-from .base import CURRENT, SMOOTH, TIMED, TORQUE, Kind, Parameter
-from .columns import SCREENINGS
+from puma_sim_core.effects.base import CURRENT, SMOOTH, TIMED, TORQUE, Kind, Parameter
+from puma_sim_core.effects.columns import SCREENINGS
+from puma_sim_core.jit import inlined
 
 RIPPLE = Kind(
     name="torque_ripple",

@@ -7,12 +7,12 @@ from __future__ import annotations
 from math import hypot, pi, sin
 from typing import TYPE_CHECKING
 
-from ..backend import inlined
-from .base import SMOOTH, TILT, TIMED, TORQUE, Kind, Parameter
-from .columns import SCREENINGS
+from puma_sim_core.effects.base import SMOOTH, TILT, TIMED, TORQUE, Kind, Parameter
+from puma_sim_core.effects.columns import SCREENINGS
+from puma_sim_core.jit import inlined
 
 if TYPE_CHECKING:
-    from ..parameters import ArmParameters
+    from puma_sim_core.arm.parameters import ArmParameters
 
 SPRING = Kind(
     name="joint_spring",

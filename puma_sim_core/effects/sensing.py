@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from math import cos, exp, pi, sin
 
-from ..backend import inlined
-from .base import SENSED, SENSING, Kind, Parameter
-from .columns import SCREENINGS
+from puma_sim_core.effects.base import SENSED, SENSING, Kind, Parameter
+from puma_sim_core.effects.columns import SCREENINGS
+from puma_sim_core.jit import inlined
 
 LAG = Kind(
     name="sensor_lag",

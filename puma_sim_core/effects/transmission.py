@@ -13,9 +13,9 @@ from __future__ import annotations
 
 from math import cos, sin
 
-from ..backend import inlined
-from .base import TRANSMISSION, TWO_MASS, Kind, Parameter
-from .columns import SCREENINGS
+from puma_sim_core.effects.base import TRANSMISSION, TWO_MASS, Kind, Parameter
+from puma_sim_core.effects.columns import SCREENINGS
+from puma_sim_core.jit import inlined
 
 _MOTOR_SHARE = Parameter(
     "motor_share",

@@ -9,12 +9,12 @@ from math import radians
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..errors import ParameterError
-from ..inverse_kinematics import wrist_angles
-from ..kinematics import forward_kinematics, link_transforms, wrist_position
-from ..parameters import ArmParameters, load_parameters
-from .registry import Context, experiment
-from .result import Curve, Figure, Result, Row, matrix_text
+from puma_sim_core.arm.inverse_kinematics import wrist_angles
+from puma_sim_core.arm.kinematics import forward_kinematics, link_transforms, wrist_position
+from puma_sim_core.arm.parameters import ArmParameters, load_parameters
+from puma_sim_core.errors import ParameterError
+from puma_sim_core.thesis.registry import Context, experiment
+from puma_sim_core.thesis.result import Curve, Figure, Result, Row, matrix_text
 
 #: poses that the thesis names (all six joints) [deg]
 POINTS = (

@@ -9,13 +9,13 @@ from math import pi, radians
 
 import numpy as np
 
-from ..parameters import ArmParameters, Link, load_parameters, parameter_sets, smallest_eigenvalue
-from ..printed_coefficients import coefficient
-from ..rigid_body import coriolis, gravity_torque, inertia, lumped_constants
-from .misprints import chapter_4_forms as forms
-from .registry import Context, experiment
-from .result import Curve, Figure, Result, Row
-from .terms import UNITS, coefficient_terms, is_misprint, printed_terms, value
+from puma_sim_core.arm.parameters import ArmParameters, Link, load_parameters, parameter_sets, smallest_eigenvalue
+from puma_sim_core.arm.printed_coefficients import coefficient
+from puma_sim_core.arm.rigid_body import coriolis, gravity_torque, inertia, lumped_constants
+from puma_sim_core.thesis.misprints import chapter_4_forms as forms
+from puma_sim_core.thesis.registry import Context, experiment
+from puma_sim_core.thesis.result import Curve, Figure, Result, Row
+from puma_sim_core.thesis.terms import UNITS, coefficient_terms, is_misprint, printed_terms, value
 
 #: a pose at which no sine or cosine is nought, so that no misprint hides
 POSE = (0.0, radians(-40.0), radians(70.0))

@@ -7,13 +7,13 @@ from __future__ import annotations
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from ..parameters import load_parameters, parameter_sets, smallest_eigenvalue
-from ..rigid_body import inertia
-from ..third_order import ThirdOrderMatrices, acceleration_from_current, current_rate, jerk, matrices
-from .misprints.chapter_6 import jerk_6_2
-from .misprints.reference import VISCOUS, nominal
-from .registry import Context, experiment
-from .result import Curve, Figure, Heatmap, Result, Row, matrix_text
+from puma_sim_core.arm.parameters import load_parameters, parameter_sets, smallest_eigenvalue
+from puma_sim_core.arm.rigid_body import inertia
+from puma_sim_core.arm.third_order import ThirdOrderMatrices, acceleration_from_current, current_rate, jerk, matrices
+from puma_sim_core.thesis.misprints.chapter_6 import jerk_6_2
+from puma_sim_core.thesis.misprints.reference import VISCOUS, nominal
+from puma_sim_core.thesis.registry import Context, experiment
+from puma_sim_core.thesis.result import Curve, Figure, Heatmap, Result, Row, matrix_text
 
 #: a moving start with held voltages: angles, velocities, currents, volts
 START = (np.array([0.1, -0.4, 0.7]), np.array([0.3, -0.2, 0.5]), np.array([0.5, -1.0, 0.8]))

@@ -10,14 +10,14 @@ import time
 
 import numpy as np
 
-from ..plant import Plant
-from ..rigid_body import coriolis, inertia
-from ..simulator import SERVO_PERIOD, Constraint, Simulator
-from ..third_order import jerk, joint_torque_per_ampere
-from .misprints.chapter_6 import locked_inertias
-from .misprints.reference import nominal
-from .registry import Context, experiment
-from .result import Curve, Figure, Result, Row
+from puma_sim_core.arm.rigid_body import coriolis, inertia
+from puma_sim_core.arm.third_order import jerk, joint_torque_per_ampere
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.simulation.simulator import SERVO_PERIOD, Constraint, Simulator
+from puma_sim_core.thesis.misprints.chapter_6 import locked_inertias
+from puma_sim_core.thesis.misprints.reference import nominal
+from puma_sim_core.thesis.registry import Context, experiment
+from puma_sim_core.thesis.result import Curve, Figure, Result, Row
 
 _POSES = {"upright": (0.0, -math.pi / 2, math.pi / 2), "horizontal": (0.0, 0.0, math.pi / 2), "q = 0": (0.0, 0.0, 0.0)}
 _MICROVAX_SECONDS = 540.0

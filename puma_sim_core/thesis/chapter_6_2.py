@@ -9,12 +9,12 @@ from functools import cache
 
 import numpy as np
 
-from ..plant import Plant
-from . import integration
-from .misprints.chapter_6 import growth, jacobian, stability_limit
-from .misprints.reference import nominal
-from .registry import Context, experiment
-from .result import Curve, Figure, Heatmap, Result, Row
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.thesis import integration
+from puma_sim_core.thesis.misprints.chapter_6 import growth, jacobian, stability_limit
+from puma_sim_core.thesis.misprints.reference import nominal
+from puma_sim_core.thesis.registry import Context, experiment
+from puma_sim_core.thesis.result import Curve, Figure, Heatmap, Result, Row
 
 _RK4_COUNTS = (4, 5, 6, 7, 8, 10, 14, 20, 28, 30, 40, 56)
 _EULER_COUNTS = (5, 8, 14, 28, 56, 112, 280, 560, 1120)

@@ -10,13 +10,13 @@ from math import inf, isfinite
 import numpy as np
 from scipy.optimize import brentq
 
-from ..effects import parse_effect
-from ..parameters import load_parameters
-from ..plant import Plant
-from ..rigid_body import gravity_torque
-from .motions import FOLDED, STRETCHED, UPRIGHT, crossing_time, drive, one_joint, with_joint
-from .registry import Context, experiment
-from .result import Curve, Figure, Result, Row
+from puma_sim_core.arm.parameters import load_parameters
+from puma_sim_core.arm.rigid_body import gravity_torque
+from puma_sim_core.effects import parse_effect
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.thesis.motions import FOLDED, STRETCHED, UPRIGHT, crossing_time, drive, one_joint, with_joint
+from puma_sim_core.thesis.registry import Context, experiment
+from puma_sim_core.thesis.result import Curve, Figure, Result, Row
 
 #: the time allowed that makes the corrected model give the thesis's first number [s]
 ALLOWED = 20.0

@@ -9,16 +9,16 @@ from math import degrees, pi, radians
 
 import numpy as np
 
-from ..effects import parse_effect
-from ..estimation import Instrument, Record, estimate
-from ..parameters import load_parameters
-from ..plant import Plant
-from ..recording import Recording
-from ..rigid_body import coriolis, inertia
-from ..simulator import Simulator
-from .motions import FREE, HELD, first_time, open_circuit
-from .registry import Context, experiment
-from .result import Curve, Figure, Result, Row
+from puma_sim_core.arm.parameters import load_parameters
+from puma_sim_core.arm.rigid_body import coriolis, inertia
+from puma_sim_core.effects import parse_effect
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.recording.recording import Recording
+from puma_sim_core.simulation.simulator import Simulator
+from puma_sim_core.thesis.motions import FREE, HELD, first_time, open_circuit
+from puma_sim_core.thesis.registry import Context, experiment
+from puma_sim_core.thesis.result import Curve, Figure, Result, Row
+from puma_sim_core.tuning.estimation import Instrument, Record, estimate
 
 #: the end of joint 2's range, where it meets its stop [rad]
 STOP = radians(43.0)

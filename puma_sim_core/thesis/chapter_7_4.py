@@ -8,13 +8,22 @@ from functools import lru_cache
 
 import numpy as np
 
-from ..estimation import Estimate, Record
-from ..plant import Plant
-from ..rigid_body import inertia
-from .motions import HORIZONTAL, UPRIGHT
-from .radii import LUMPS, SCALED, Campaign, gyration, lumps, with_friction, with_gyration, with_lumps
-from .registry import Context, experiment
-from .result import Curve, Figure, Result, Row
+from puma_sim_core.arm.rigid_body import inertia
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.thesis.motions import HORIZONTAL, UPRIGHT
+from puma_sim_core.thesis.radii import (
+    LUMPS,
+    SCALED,
+    Campaign,
+    gyration,
+    lumps,
+    with_friction,
+    with_gyration,
+    with_lumps,
+)
+from puma_sim_core.thesis.registry import Context, experiment
+from puma_sim_core.thesis.result import Curve, Figure, Result, Row
+from puma_sim_core.tuning.estimation import Estimate, Record
 
 OTHER_ARM = "The printed value is of the thesis's own robot, ours of the hidden one: not to be compared."
 HIDDEN = (

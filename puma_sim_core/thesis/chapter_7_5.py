@@ -9,16 +9,16 @@ from math import pi, radians
 
 import numpy as np
 
-from ..control.servo import ServoConfig
-from ..control.setpoints import vertical_line
-from ..effects import parse_effect
-from ..estimation import Instrument
-from ..parameters import load_parameters
-from ..plant import Plant
-from ..rigid_body import gravity_torque
-from ..simulator import SERVO_PERIOD, Simulator
-from .registry import Context, experiment
-from .result import Curve, Figure, Result, Row
+from puma_sim_core.arm.parameters import load_parameters
+from puma_sim_core.arm.rigid_body import gravity_torque
+from puma_sim_core.control.setpoints import vertical_line
+from puma_sim_core.dynamics.servo import ServoConfig
+from puma_sim_core.effects import parse_effect
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.simulation.simulator import SERVO_PERIOD, Simulator
+from puma_sim_core.thesis.registry import Context, experiment
+from puma_sim_core.thesis.result import Curve, Figure, Result, Row
+from puma_sim_core.tuning.estimation import Instrument
 
 #: where the recorded line begins; figure 7.6 is not in the text that we have
 START = (0.0, radians(-20.0), radians(50.0))

@@ -6,13 +6,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..control.pid import PidGains, gains_of_recursive, recursive_coefficients
-from ..control.ziegler_nichols import SETTINGS, settings, ultimate_by_simulation, ultimate_map
-from ..plant import Plant
-from ..simulator import SERVO_PERIOD
-from .registry import Context, experiment
-from .result import Curve, Figure, Result, Row
-from .tuning import CASES, gains_text
+from puma_sim_core.dynamics.pid import PidGains, gains_of_recursive, recursive_coefficients
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.simulation.simulator import SERVO_PERIOD
+from puma_sim_core.thesis.registry import Context, experiment
+from puma_sim_core.thesis.result import Curve, Figure, Result, Row
+from puma_sim_core.thesis.tuning import CASES, gains_text
+from puma_sim_core.tuning.ziegler_nichols import SETTINGS, settings, ultimate_by_simulation, ultimate_map
 
 #: sample periods [s] at which the ultimate gains are drawn; the thesis's 28 ms and the printed
 #: "50 mS" of its integration step are among them

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..control.linear import least_damped, linearised, pid_loop, radius, sampled
-from ..control.ziegler_nichols import Ultimate, settings, ultimate_map
-from ..plant import Plant
-from ..simulator import SERVO_PERIOD
-from .registry import Context, experiment
-from .result import Curve, Figure, Heatmap, Result, Row
-from .tuning import FOLDED_ELBOW, Case, case, gains_text, path, run
+from puma_sim_core.control.linear import least_damped, linearised, pid_loop, radius, sampled
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.simulation.simulator import SERVO_PERIOD
+from puma_sim_core.thesis.registry import Context, experiment
+from puma_sim_core.thesis.result import Curve, Figure, Heatmap, Result, Row
+from puma_sim_core.thesis.tuning import FOLDED_ELBOW, Case, case, gains_text, path, run
+from puma_sim_core.tuning.ziegler_nichols import Ultimate, settings, ultimate_map
 
 #: ramp of a second and a step [rad]; the thesis names ramps and steps, the plots' own path is
 #: not in its text

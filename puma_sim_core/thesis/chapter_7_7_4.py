@@ -13,17 +13,17 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..control.linear import linearised, pid_loop, radius, sampled
-from ..control.pid import PidGains
-from ..control.ziegler_nichols import settings
-from ..effects import parse_effect
-from ..errors import NonFiniteStateError
-from ..plant import Plant
-from ..simulator import SERVO_PERIOD
-from .motions import HORIZONTAL, UPRIGHT
-from .registry import Context, experiment
-from .result import Curve, Figure, Result, Row
-from .tuning import PERIOD, SAMPLES, case, path, printed_pid, run
+from puma_sim_core.control.linear import linearised, pid_loop, radius, sampled
+from puma_sim_core.dynamics.pid import PidGains
+from puma_sim_core.effects import parse_effect
+from puma_sim_core.errors import NonFiniteStateError
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.simulation.simulator import SERVO_PERIOD
+from puma_sim_core.thesis.motions import HORIZONTAL, UPRIGHT
+from puma_sim_core.thesis.registry import Context, experiment
+from puma_sim_core.thesis.result import Curve, Figure, Result, Row
+from puma_sim_core.thesis.tuning import PERIOD, SAMPLES, case, path, printed_pid, run
+from puma_sim_core.tuning.ziegler_nichols import settings
 
 #: cases that tune the three joints: arm upright
 TUNED_AT = ("7.17", "7.19", "7.21")
@@ -322,8 +322,10 @@ def joints(context: Context) -> Result:
         for m in MECHANISMS
         if not any(
             found.get(("thesis's gains", m.name, motion)) is None
-            or (found["thesis's gains", m.name, motion].sustained
-            and found["thesis's gains", m.name, motion].worst > 1e-3)
+            or (
+                found["thesis's gains", m.name, motion].sustained
+                and found["thesis's gains", m.name, motion].worst > 1e-3
+            )
             for motion in MOTIONS
         )
     ]

@@ -11,17 +11,23 @@ from math import log, pi
 
 import numpy as np
 
-from ..control.controller_log import ControllerLog
-from ..control.identification import PidEstimate, compare_gains, identify_pid
-from ..control.least_squares import RecursiveLeastSquares
-from ..control.pid import PidGains, recursive_coefficients
-from ..control.transfer_function import METHODS, TransferFunction, identify_transfer_function, implied_gains, poles
-from ..errors import RecordingError
-from ..plant import Plant
-from ..simulator import SERVO_PERIOD
-from .controller_records import COUNTS, RECORD, Maker, Motion, motions
-from .registry import Context, experiment
-from .result import Curve, Figure, Result, Row
+from puma_sim_core.dynamics.pid import PidGains, recursive_coefficients
+from puma_sim_core.errors import RecordingError
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.simulation.simulator import SERVO_PERIOD
+from puma_sim_core.thesis.controller_records import COUNTS, RECORD, Maker, Motion, motions
+from puma_sim_core.thesis.registry import Context, experiment
+from puma_sim_core.thesis.result import Curve, Figure, Result, Row
+from puma_sim_core.tuning.controller_log import ControllerLog
+from puma_sim_core.tuning.least_squares import RecursiveLeastSquares
+from puma_sim_core.tuning.pid_identification import PidEstimate, compare_gains, identify_pid
+from puma_sim_core.tuning.transfer_function import (
+    METHODS,
+    TransferFunction,
+    identify_transfer_function,
+    implied_gains,
+    poles,
+)
 
 #: of the motors' voltage [V]
 LIMIT = 40.0

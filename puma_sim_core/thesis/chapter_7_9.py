@@ -9,19 +9,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..control.controllers import make_controller
-from ..control.linear import least_damped, linearised, pid_loop, sampled
-from ..control.metrics import effort, step_quality, tracking_error
-from ..control.pid import Pid, PidGains
-from ..control.schedule_design import placed_gains
-from ..control.setpoints import Move, joint_path, joint_setpoints
-from ..control.ziegler_nichols import settings
-from ..plant import Plant
-from ..simulator import SERVO_PERIOD, Constraint, Simulator
-from .motions import HORIZONTAL, UPRIGHT
-from .registry import Context, experiment
-from .result import Curve, Figure, Result, Row
-from .tuning import case, gains_text
+from puma_sim_core.control.controllers import make_controller
+from puma_sim_core.control.linear import least_damped, linearised, pid_loop, sampled
+from puma_sim_core.control.metrics import effort, step_quality, tracking_error
+from puma_sim_core.control.setpoints import Move, joint_path, joint_setpoints
+from puma_sim_core.dynamics.pid import Pid, PidGains
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.simulation.simulator import SERVO_PERIOD, Constraint, Simulator
+from puma_sim_core.thesis.motions import HORIZONTAL, UPRIGHT
+from puma_sim_core.thesis.registry import Context, experiment
+from puma_sim_core.thesis.result import Curve, Figure, Result, Row
+from puma_sim_core.thesis.tuning import case, gains_text
+from puma_sim_core.tuning.schedule_design import placed_gains
+from puma_sim_core.tuning.ziegler_nichols import settings
 
 LIMIT = 40.0
 #: the plots' own path is not in the text: a ramp out, a rest, a ramp back, for joint 1

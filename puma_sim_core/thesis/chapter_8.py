@@ -14,18 +14,18 @@ from math import inf
 
 import numpy as np
 
-from ..control.controllers import load_settings, make_controller
-from ..control.metrics import effort, step_quality, tracking_error
-from ..control.pid import Pid
-from ..control.setpoints import Move, joint_path, joint_setpoints
-from ..control.velocity_loop import VelocityLoop
-from ..control.ziegler_nichols import settings
-from ..effects import parse_effect
-from ..plant import Plant
-from ..simulator import SERVO_PERIOD, Simulator
-from .registry import Context, experiment
-from .result import Curve, Figure, Result, Row
-from .tuning import case
+from puma_sim_core.control.controllers import load_settings, make_controller
+from puma_sim_core.control.metrics import effort, step_quality, tracking_error
+from puma_sim_core.control.setpoints import Move, joint_path, joint_setpoints
+from puma_sim_core.control.velocity_loop import VelocityLoop
+from puma_sim_core.dynamics.pid import Pid
+from puma_sim_core.effects import parse_effect
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.simulation.simulator import SERVO_PERIOD, Simulator
+from puma_sim_core.thesis.registry import Context, experiment
+from puma_sim_core.thesis.result import Curve, Figure, Result, Row
+from puma_sim_core.thesis.tuning import case
+from puma_sim_core.tuning.ziegler_nichols import settings
 
 LIMIT = 40.0
 #: where all runs start: between upright and horizontal, the elbow bent

@@ -9,14 +9,14 @@ from math import atan2, hypot, pi
 
 import numpy as np
 
-from ..control.controller_log import ControllerLog
-from ..control.pid import PidGains
-from ..control.servo import DEFAULT_GAINS, ServoConfig
-from ..control.setpoints import smooth_share
-from ..inverse_kinematics import wrist_angles
-from ..kinematics import wrist_position
-from ..plant import Plant
-from ..simulator import SERVO_PERIOD, Simulator
+from puma_sim_core.arm.inverse_kinematics import wrist_angles
+from puma_sim_core.arm.kinematics import wrist_position
+from puma_sim_core.control.setpoints import smooth_share
+from puma_sim_core.dynamics.pid import PidGains
+from puma_sim_core.dynamics.servo import DEFAULT_GAINS, ServoConfig
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.simulation.simulator import SERVO_PERIOD, Simulator
+from puma_sim_core.tuning.controller_log import ControllerLog
 
 #: "about 4 kbytes": the longest record of section 7.1.2, taken as 4096 samples of each channel
 RECORD = 4096

@@ -14,8 +14,8 @@ import textwrap
 
 import numpy as np
 
-from ..errors import ParameterError
-from .result import Curve, Figure, Heatmap
+from puma_sim_core.errors import ParameterError
+from puma_sim_core.thesis.result import Curve, Figure, Heatmap
 
 #: points of a curve that a drawing (or the JSON) keeps, about one for each pixel
 POINTS = 480

@@ -7,13 +7,13 @@ from __future__ import annotations
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from .. import printed_coefficients as section_4_5
-from ..third_order import acceleration_from_current, current_rate, joint_torque_per_ampere
-from .misprints import chapter_4, chapter_5, chapter_6, chapter_7, chapters_2_3, references
-from .misprints.evidence import Erratum
-from .misprints.reference import nominal
-from .registry import Context, experiment
-from .result import Curve, Figure, Result, Row
+from puma_sim_core.arm import printed_coefficients as section_4_5
+from puma_sim_core.arm.third_order import acceleration_from_current, current_rate, joint_torque_per_ampere
+from puma_sim_core.thesis.misprints import chapter_4, chapter_5, chapter_6, chapter_7, chapters_2_3, references
+from puma_sim_core.thesis.misprints.evidence import Erratum
+from puma_sim_core.thesis.misprints.reference import nominal
+from puma_sim_core.thesis.registry import Context, experiment
+from puma_sim_core.thesis.result import Curve, Figure, Result, Row
 
 #: every misprint, in the order of the thesis; those that touch no number come last
 ERRATA: tuple[Erratum, ...] = (

@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from ..backend import BACKEND, compiled
-from ..kernel import FREE, NO_SLIP, STILL, derivative, library_trigonometry
-from ..plant import Plant
-from ..runs import run_voltages
-from ..simulator import native
+from puma_sim_core.dynamics.rigid import FREE, NO_SLIP, STILL, derivative, library_trigonometry
+from puma_sim_core.dynamics.runs import run_voltages
+from puma_sim_core.jit import BACKEND, compiled
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.simulation.simulator import native
 
 #: a row of voltages: one setpoint period of the manipulator [s]
 ROW = 0.028

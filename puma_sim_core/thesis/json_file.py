@@ -8,11 +8,11 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from .. import __version__
-from .. import json_text as layout
-from .drawing import thin
-from .registry import Experiment
-from .result import Figure, Heatmap, Result, Row
+from puma_sim_core import __version__
+from puma_sim_core import json_text as layout
+from puma_sim_core.thesis.drawing import thin
+from puma_sim_core.thesis.registry import Experiment
+from puma_sim_core.thesis.result import Figure, Heatmap, Result, Row
 
 #: raised when the layout of the file changes
 FORMAT = 1

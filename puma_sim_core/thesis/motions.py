@@ -9,9 +9,9 @@ from math import radians
 
 import numpy as np
 
-from ..plant import Plant
-from ..recording import Recording
-from ..simulator import SERVO_PERIOD, Constraint, Simulator
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.recording.recording import Recording
+from puma_sim_core.simulation.simulator import SERVO_PERIOD, Constraint, Simulator
 
 HELD, FREE = Constraint("hold"), Constraint()
 

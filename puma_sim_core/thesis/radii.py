@@ -22,13 +22,13 @@ from math import ceil, pi, radians
 
 import numpy as np
 
-from ..control.servo import ServoConfig
-from ..effects import parse_effect
-from ..estimation import Estimate, Instrument, Record, estimate, record_from_servo, with_gyration
-from ..parameters import load_parameters, smallest_eigenvalue
-from ..plant import Plant
-from .motions import FOLDED, HORIZONTAL, UPRIGHT, with_joint
-from .registry import Context
+from puma_sim_core.arm.parameters import load_parameters, smallest_eigenvalue
+from puma_sim_core.dynamics.servo import ServoConfig
+from puma_sim_core.effects import parse_effect
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.thesis.motions import FOLDED, HORIZONTAL, UPRIGHT, with_joint
+from puma_sim_core.thesis.registry import Context
+from puma_sim_core.tuning.estimation import Estimate, Instrument, Record, estimate, record_from_servo, with_gyration
 
 #: about how far the hidden arm's radii are from the set that it is made of
 SPREAD = 0.08

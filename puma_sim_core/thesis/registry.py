@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import ParameterError
-from .result import Result
+from puma_sim_core.errors import ParameterError
+from puma_sim_core.thesis.result import Result
 
 DEFAULT_SEED = 1
 

@@ -13,11 +13,11 @@ from collections.abc import Callable, Mapping
 from html import escape
 from typing import Any
 
-from .. import __version__
-from .drawing import legend_svg, styles, svg
-from .registry import Experiment
-from .result import Figure, Heatmap, Result, Row
-from .style import CSS
+from puma_sim_core import __version__
+from puma_sim_core.thesis.drawing import legend_svg, styles, svg
+from puma_sim_core.thesis.registry import Experiment
+from puma_sim_core.thesis.result import Figure, Heatmap, Result, Row
+from puma_sim_core.thesis.style import CSS
 
 #: lists longer than this stand in the JSON alone
 _LIST = 6

@@ -10,8 +10,8 @@ import signal
 import traceback
 from collections.abc import Callable, Sequence
 
-from .registry import Context, Experiment, experiments
-from .result import Result
+from puma_sim_core.thesis.registry import Context, Experiment, experiments
+from puma_sim_core.thesis.result import Result
 
 #: time between two looks at the processes [s]
 _LOOK = 0.1

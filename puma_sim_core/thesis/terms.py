@@ -3,7 +3,7 @@
 """The coefficients of section 4.5 for any arm: each D, C and G as numbers times sines and cosines.
 
 The functions are those of the thesis (C2S2, S2S3S23 and so on, the keys of
-:data:`puma_sim_core.printed_coefficients.BASES`), so that its numbers can be held against those of
+:data:`puma_sim_core.arm.printed_coefficients.BASES`), so that its numbers can be held against those of
 every parameter set.
 """
 
@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..parameters import ArmParameters
-from ..printed_coefficients import BASES, COEFFICIENTS
-from ..rigid_body import lumped_constants
+from puma_sim_core.arm.parameters import ArmParameters
+from puma_sim_core.arm.printed_coefficients import BASES, COEFFICIENTS
+from puma_sim_core.arm.rigid_body import lumped_constants
 
 #: unit of a coefficient by its first letter
 UNITS = {"D": "kg.m^2", "C": "kg.m^2", "G": "N.m"}

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..control.pid import PidGains
-from ..control.servo import ServoConfig
-from ..control.ziegler_nichols import Loop, Ultimate, settings, ultimate_by_eigenvalues
-from ..plant import Plant
-from ..recording import Recording
-from ..simulator import SERVO_PERIOD, Constraint, Simulator
-from .motions import HORIZONTAL, UPRIGHT
+from puma_sim_core.dynamics.pid import PidGains
+from puma_sim_core.dynamics.servo import ServoConfig
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.recording.recording import Recording
+from puma_sim_core.simulation.simulator import SERVO_PERIOD, Constraint, Simulator
+from puma_sim_core.thesis.motions import HORIZONTAL, UPRIGHT
+from puma_sim_core.tuning.ziegler_nichols import Loop, Ultimate, settings, ultimate_by_eigenvalues
 
 #: q3 of the folded arm [rad], as section 7.7.2 prints it
 FOLDED_ELBOW = -0.9075

@@ -18,8 +18,8 @@ import mujoco
 import numba
 import numpy as np
 
-from . import arm_parameters as arm
-from .arm_mujoco import Mechanics, model
+from test.blind import arm_parameters as arm
+from test.blind.arm_mujoco import Mechanics, model
 
 (LIBRARY,) = Path(mujoco.__file__).parent.glob("libmujoco*.so*")
 # compiled code finds the functions of libraries that are open to the whole process

@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from . import arm_parameters as arm
-from . import drives
-from .arm_mujoco import Mechanics
+from test.blind import arm_parameters as arm
+from test.blind import drives
+from test.blind.arm_mujoco import Mechanics
 
 #: where the stop of the other side stands [rad]: out of reach
 NO_STOP = 100.0

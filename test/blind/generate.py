@@ -24,11 +24,11 @@ if __name__ == "__main__" and not __package__:
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
     __package__ = "blind"
 
-from . import arm_parameters as arm
-from . import faults, motions, outside, records
-from .drives import Controller, Run, Sampling, simulate
-from .effects import EFFECTS, NO_STOP, Plant, derived, scaled
-from .size import Sizes, measure
+from test.blind import arm_parameters as arm
+from test.blind import faults, motions, outside, records
+from test.blind.drives import Controller, Run, Sampling, simulate
+from test.blind.effects import EFFECTS, NO_STOP, Plant, derived, scaled
+from test.blind.size import Sizes, measure
 
 #: how near (in ratio) the size of a record comes to what was asked for
 _NEAR = 1.2

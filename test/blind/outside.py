@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from . import drives
-from .effects import UNIT
+from test.blind import drives
+from test.blind.effects import UNIT
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from scipy.stats import chi2
 from puma_sim_core.effects import KINDS, Effect
 from puma_sim_core.effects.screening import Illegal
 from puma_sim_core.errors import PumaSimError
-from puma_sim_core.loop.evidence import Bank, Scored
+from puma_sim_core.identify.screening.evidence import Bank, Scored
 
 _SIGNIFICANT = 0.05
 _MOST = 6

@@ -15,18 +15,18 @@ import numpy as np
 from puma_sim_core.effects import KINDS, Effect
 from puma_sim_core.effects.friction import VISCOUS
 from puma_sim_core.errors import PumaSimError
-from puma_sim_core.loop import colour
-from puma_sim_core.loop.explain import _held, _row_noise
-from puma_sim_core.loop.held_out import HeldOut, Model
-from puma_sim_core.loop.ingest import read_log
-from puma_sim_core.loop.prediction import Point, PredictionFit
-from puma_sim_core.loop.predictor import Predictor
-from puma_sim_core.loop.problem import Problem
-from puma_sim_core.loop.sampling import sample
-from puma_sim_core.loop.search import Search
-from puma_sim_core.loop.trials import Trials
-from puma_sim_core.mechanisms import load_mechanism
-from puma_sim_core.plant import Plant
+from puma_sim_core.identify.data.ingest import read_log
+from puma_sim_core.identify.data.sampling import sample
+from puma_sim_core.identify.explain import _held, _row_noise
+from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
+from puma_sim_core.identify.fitting.predictor import Predictor
+from puma_sim_core.identify.fitting.trials import Trials
+from puma_sim_core.identify.noise import colour
+from puma_sim_core.identify.screening.problem import Problem
+from puma_sim_core.identify.screening.search import Search
+from puma_sim_core.identify.selection.held_out import HeldOut, Model
+from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.plant.plant import Plant
 
 _ROUNDS = 4
 

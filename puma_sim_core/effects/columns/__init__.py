@@ -8,8 +8,8 @@ it: it is a parameter of every mechanism, which competes with all effects.
 
 from __future__ import annotations
 
-from ..screening import Screening
-from . import amplifier, friction, load, motor, outside, sensing, stops, transmission
+from puma_sim_core.effects.columns import amplifier, friction, load, motor, outside, sensing, stops, transmission
+from puma_sim_core.effects.screening import Screening
 
 SCREENINGS: dict[str, Screening] = {
     name: screening

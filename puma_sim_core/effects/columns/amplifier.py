@@ -6,8 +6,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..screening import VOLTAGE_COLUMN, Candidate, Screening, Signals
-from .common import bounded, candidate, on_joint, positive, recursion, stretches, visible, volt_scale
+from puma_sim_core.effects.columns.common import (
+    bounded,
+    candidate,
+    on_joint,
+    positive,
+    recursion,
+    stretches,
+    visible,
+    volt_scale,
+)
+from puma_sim_core.effects.screening import VOLTAGE_COLUMN, Candidate, Screening, Signals
 
 #: shares of the samples that lie beyond a limit, for the grids of limits
 _BEYOND = (0.003, 0.008, 0.016, 0.03, 0.055, 0.09, 0.14, 0.2, 0.28, 0.38, 0.5)

@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...backend import compiled
-from ..screening import TORQUE_COLUMN, Candidate, Illegal, Signals
+from puma_sim_core.effects.screening import TORQUE_COLUMN, Candidate, Illegal, Signals
+from puma_sim_core.jit import compiled
 
 #: a share of samples that a column must be different from zero in, else the log does not show it
 LEAST_SHARE = 0.002

@@ -6,9 +6,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..screening import TORQUE_COLUMN, Candidate, Illegal, Screening, Signals
-from . import dry_friction
-from .common import (
+from puma_sim_core.effects.columns import dry_friction
+from puma_sim_core.effects.columns.common import (
     candidate,
     fastest,
     is_arm,
@@ -21,6 +20,7 @@ from .common import (
     stretches,
     warming,
 )
+from puma_sim_core.effects.screening import TORQUE_COLUMN, Candidate, Illegal, Screening, Signals
 
 #: more times the middling friction torque than any friction of a machine
 _MOST = 12.0

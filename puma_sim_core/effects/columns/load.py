@@ -4,8 +4,8 @@
 
 from __future__ import annotations
 
-from ..screening import Candidate, Screening, Signals
-from .common import candidate, positive
+from puma_sim_core.effects.columns.common import candidate, positive
+from puma_sim_core.effects.screening import Candidate, Screening, Signals
 
 #: places of the mass along the forearm [m]; 0.4318 m is where the wrist is
 _PLACES = (0.2, 0.3, 0.37, 0.4318, 0.5, 0.6)

@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..screening import VOLTAGE_COLUMN, Candidate, Illegal, Screening, Signals
-from .common import candidate, on_joint, positive, warming, waves
+from puma_sim_core.effects.columns.common import candidate, on_joint, positive, warming, waves
+from puma_sim_core.effects.screening import VOLTAGE_COLUMN, Candidate, Illegal, Screening, Signals
 
 #: periods a turn of the motor
 _ORDERS = (1, 2, 3, 4, 6, 7, 8, 12)

@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..screening import Candidate, Illegal, Screening, Signals
-from .common import bounded, candidate, on_joint, positive, stretches, whole_range
+from puma_sim_core.effects.columns.common import bounded, candidate, on_joint, positive, stretches, whole_range
+from puma_sim_core.effects.screening import Candidate, Illegal, Screening, Signals
 
 #: whole widths of a blow [s], and the best places that are kept of each
 _WIDTHS = (0.02, 0.03, 0.045, 0.065, 0.1, 0.15)

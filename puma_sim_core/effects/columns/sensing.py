@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..screening import TORQUE_COLUMN, VOLTAGE_COLUMN, Candidate, Illegal, Screening, Signals
-from .common import (
+from puma_sim_core.effects.columns.common import (
     bounded,
     candidate,
     change_of_voltage,
@@ -23,6 +22,7 @@ from .common import (
     wave_numbers,
     whole_range,
 )
+from puma_sim_core.effects.screening import TORQUE_COLUMN, VOLTAGE_COLUMN, Candidate, Illegal, Screening, Signals
 
 #: greatest and least period of a sensor's error, in ranges of the joint: 6 and 0.3 rad on the arm
 _LONGEST, _SHORTEST = 1.1, 0.055

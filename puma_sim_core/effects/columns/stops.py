@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..screening import Candidate, Screening, Signals
-from .common import candidate, on_joint, positive, travelled
+from puma_sim_core.effects.columns.common import candidate, on_joint, positive, travelled
+from puma_sim_core.effects.screening import Candidate, Screening, Signals
 
 #: where a stop may begin, in shares of the travelled range from its end: a hard stop gives way by
 #: a thousandth of it, a soft one is pressed in for half of the motion

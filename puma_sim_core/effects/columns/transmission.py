@@ -12,9 +12,7 @@ from math import ceil
 
 import numpy as np
 
-from ...backend import compiled
-from ..screening import VOLTAGE_COLUMN, Candidate, Illegal, Screening, Signals
-from .common import (
+from puma_sim_core.effects.columns.common import (
     candidate,
     change_of_voltage,
     is_arm,
@@ -25,7 +23,9 @@ from .common import (
     visible,
     wave_numbers,
 )
-from .sensing import wave_motion
+from puma_sim_core.effects.columns.sensing import wave_motion
+from puma_sim_core.effects.screening import VOLTAGE_COLUMN, Candidate, Illegal, Screening, Signals
+from puma_sim_core.jit import compiled
 
 #: part of Ia that turns with the rotor (the kinds' default)
 _MOTOR_SHARE = 0.7

@@ -8,12 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from ... import printed_coefficients as section_4_5
-from ...parameters import load_parameters
-from . import chapter_4_forms as forms
-from . import reference
-from .evidence import Erratum, Evidence
-from .reference import POSES, RATES, at_poses, nominal
+from puma_sim_core.arm import printed_coefficients as section_4_5
+from puma_sim_core.arm.parameters import load_parameters
+from puma_sim_core.thesis.misprints import chapter_4_forms as forms
+from puma_sim_core.thesis.misprints import reference
+from puma_sim_core.thesis.misprints.evidence import Erratum, Evidence
+from puma_sim_core.thesis.misprints.reference import POSES, RATES, at_poses, nominal
 
 _MOTION = "Christoffel symbols of D"
 _BODIES = "kinetic energy of the bodies"

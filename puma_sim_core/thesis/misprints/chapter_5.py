@@ -6,10 +6,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...rigid_body import coriolis, gravity_torque, inertia
-from ...third_order import acceleration_from_current, current_rate, joint_torque_per_ampere
-from .evidence import Erratum, Evidence
-from .reference import ACCELERATIONS, JERKS, POSES, RATES, VISCOUS, gravity, nominal
+from puma_sim_core.arm.rigid_body import coriolis, gravity_torque, inertia
+from puma_sim_core.arm.third_order import acceleration_from_current, current_rate, joint_torque_per_ampere
+from puma_sim_core.thesis.misprints.evidence import Erratum, Evidence
+from puma_sim_core.thesis.misprints.reference import ACCELERATIONS, JERKS, POSES, RATES, VISCOUS, gravity, nominal
 
 _STEP = 1e-40
 

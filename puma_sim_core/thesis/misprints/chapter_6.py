@@ -8,12 +8,12 @@ import math
 
 import numpy as np
 
-from ...rigid_body import coriolis, gravity_torque, inertia
-from ...third_order import acceleration_from_current, current_rate, joint_torque_per_ampere
-from . import reference
-from .chapter_5 import jerk_of_currents, motors, rate
-from .evidence import Between, Erratum, Evidence
-from .reference import POSES, RATES, VISCOUS, nominal
+from puma_sim_core.arm.rigid_body import coriolis, gravity_torque, inertia
+from puma_sim_core.arm.third_order import acceleration_from_current, current_rate, joint_torque_per_ampere
+from puma_sim_core.thesis.misprints import reference
+from puma_sim_core.thesis.misprints.chapter_5 import jerk_of_currents, motors, rate
+from puma_sim_core.thesis.misprints.evidence import Between, Erratum, Evidence
+from puma_sim_core.thesis.misprints.reference import POSES, RATES, VISCOUS, nominal
 
 _VOLTS = np.random.default_rng(600).uniform(-40.0, 40.0, (len(POSES), 3))
 _CURRENTS = np.random.default_rng(601).uniform(-8.0, 8.0, (len(POSES), 3))
@@ -159,7 +159,7 @@ def _inputs_within_a_step():
 
 def _input_slope():
     """df/du at an input that is held."""
-    q, qd, current = POSES[0], RATES[0], _CURRENTS[0]
+    _q, qd, current = POSES[0], RATES[0], _CURRENTS[0]
     slope = []
     for k in range(3):
         v = np.array(_VOLTS[0], dtype=complex)

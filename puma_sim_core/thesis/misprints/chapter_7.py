@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...parameters import load_parameters, smallest_eigenvalue
-from . import reference
-from .evidence import Between, Erratum, Evidence
-from .reference import nominal
+from puma_sim_core.arm.parameters import load_parameters, smallest_eigenvalue
+from puma_sim_core.thesis.misprints import reference
+from puma_sim_core.thesis.misprints.evidence import Between, Erratum, Evidence
+from puma_sim_core.thesis.misprints.reference import nominal
 
 _INFINITE = float("inf")
 #: gain, integral and derivative time [s] of the vertical joint 1 by table 7.2, servo sample [s]

@@ -6,11 +6,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...kinematics import dh_table, first_derivatives
-from ...rigid_body import arm_pseudo_inertias
-from . import reference
-from .evidence import Erratum, Evidence
-from .reference import POSES, RATES, at_poses, nominal
+from puma_sim_core.arm.kinematics import dh_table, first_derivatives
+from puma_sim_core.arm.rigid_body import arm_pseudo_inertias
+from puma_sim_core.thesis.misprints import reference
+from puma_sim_core.thesis.misprints.evidence import Erratum, Evidence
+from puma_sim_core.thesis.misprints.reference import POSES, RATES, at_poses, nominal
 
 # ------------------------------------------------------------------------------------- chapter 2
 

@@ -15,8 +15,8 @@ from functools import cache
 
 import numpy as np
 
-from ...kinematics import dh_table
-from ...parameters import ArmParameters, load_parameters
+from puma_sim_core.arm.kinematics import dh_table
+from puma_sim_core.arm.parameters import ArmParameters, load_parameters
 
 _STEP = 1e-40
 

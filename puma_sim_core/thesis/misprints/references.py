@@ -8,7 +8,7 @@ own; a reference is proved wrong by the subject that it is given for and the one
 
 from __future__ import annotations
 
-from .evidence import Erratum, Evidence
+from puma_sim_core.thesis.misprints.evidence import Erratum, Evidence
 
 #: what stands where in the thesis
 CONTENTS = {

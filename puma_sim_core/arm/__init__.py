@@ -1,0 +1,3 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""What the arm is: parameters, kinematics, rigid body and third-order model (chapters 2 to 5)."""

@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""Kinematics of the six links: homogeneous transforms and their derivatives (chapter 2).
+
+Standard (distal) Denavit-Hartenberg: joint i turns about z_{i-1}, and the transform from frame i-1
+to frame i is Rot(z, q) Trans(z, d) Trans(x, a) Rot(x, alpha). At q = 0 the upper arm is horizontal
+along x0 and the forearm points up; positive q2 and q3 turn the arm down. Misprints of the thesis's
+matrices are corrected: the offset d3 stands in the third transform, and the second has none.
+All functions accept complex angles.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from puma_sim_core.arm.parameters import ArmParameters
+
+#: twist of each link [rad], section 2.3
+_ALPHA = np.radians([-90.0, 0.0, 90.0, -90.0, 90.0, 0.0])
+
+#: derivative of a rotation about z: dT/dq = Q T (equation 2.2)
+Q = np.array([[0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0]])
+Q.setflags(write=False)
+
+
+def dh_table(arm: ArmParameters) -> np.ndarray:
+    """(6, 3) rows (a [m], alpha [rad], d [m]) of the six links, section 2.3."""
+    lengths = [0.0, arm.a2, arm.a3, 0.0, 0.0, 0.0]
+    offsets = [0.0, 0.0, arm.d3, arm.d4, 0.0, 0.0]
+    return np.column_stack([lengths, _ALPHA, offsets])
+
+
+def dh_transform(q, a: float, alpha: float, d: float) -> np.ndarray:
+    """(4, 4) transform from frame i-1 to frame i; q, alpha [rad], a, d [m]; section 2.3."""
+    s, c = np.sin(q), np.cos(q)
+    # twists are quarter turns, whose sine and cosine should be exact
+    sa, ca = _exact(np.sin(alpha)), _exact(np.cos(alpha))
+    return np.array([[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0.0, sa, ca, d], [0.0, 0.0, 0.0, 1.0]])
+
+
+def link_transforms(q, arm) -> np.ndarray:
+    """Transforms from the base to frames 0 to n, for the first n joints.
+
+    q : (n,) joint angles [rad], n from 0 to 6 for an arm; arm : ArmParameters, or a table (m, 3)
+    of rows (a, alpha, d) with m >= n. Returns (n + 1, 4, 4), the first of them the identity.
+
+    Raises
+    ------
+    ValueError : more angles than links.
+    """
+    q, table = _arguments(q, arm)
+    out = np.empty((len(q) + 1, 4, 4), dtype=q.dtype)
+    out[0] = np.eye(4)
+    for i, row in enumerate(table):
+        out[i + 1] = out[i] @ dh_transform(q[i], *row)
+    return out
+
+
+def forward_kinematics(q, arm) -> np.ndarray:
+    """(4, 4) transform from the base to the last of the n given joints' frames."""
+    return link_transforms(q, arm)[-1]
+
+
+def elbow_position(q, arm: ArmParameters) -> np.ndarray:
+    """(3,) origin of frame 2 in the base frame [m]; q: (at least 2,) [rad]."""
+    return link_transforms(np.asarray(q)[:2], arm)[-1][:3, 3]
+
+
+def wrist_position(q, arm: ArmParameters) -> np.ndarray:
+    """(3,) point where the axes of the wrist meet, in the base frame [m].
+
+    q : (at least 3,) [rad]; joints 4 to 6 turn about this point and do not move it.
+    """
+    frame = link_transforms(np.asarray(q)[:3], arm)[-1]
+    return frame[:3, 3] + arm.d4 * frame[:3, 2]
+
+
+def tool_position(q, arm: ArmParameters, tool=(0.0, 0.0, 0.0)) -> np.ndarray:
+    """(3,) position of a point of the tool in the base frame [m].
+
+    q : (6,) [rad], or (3,) for a wrist at zero; tool : the point in frame 6 [m]. The default is
+    the origin of frame 6, the wrist itself.
+    """
+    q = np.asarray(q)
+    if q.shape == (3,):
+        q = np.concatenate([q, np.zeros(3)])
+    frame = forward_kinematics(q, arm)
+    return frame[:3, 3] + frame[:3, :3] @ np.asarray(tool)
+
+
+def delta_operator(axis, translation=(0.0, 0.0, 0.0)) -> np.ndarray:
+    """(4, 4) delta operator for a unit turn about ``axis`` and a translation (section 2.5.2).
+
+    axis : (3,) k; translation : (3,) d, both in the reference frame. To first order
+    dT = delta T dq. For a joint, k = z and d = 0 give Q (equations 2.1, 2.2).
+    """
+    kx, ky, kz = axis
+    dx, dy, dz = translation
+    return np.array([[0.0, -kz, ky, dx], [kz, 0.0, -kx, dy], [-ky, kx, 0.0, dz], [0.0, 0.0, 0.0, 0.0]])
+
+
+def base_delta(q, joint: int, arm) -> np.ndarray:
+    """(4, 4) delta operator of a joint (from 1) expressed in the base frame.
+
+    dT_p/dq_joint = base_delta T_p for every frame p from ``joint`` outwards: T Q T^-1 with T the
+    transform to frame joint - 1.
+    """
+    frame = link_transforms(np.asarray(q)[:joint], arm)[joint - 1]
+    axis = frame[:3, 2]
+    return delta_operator(axis, -np.cross(axis, frame[:3, 3]))
+
+
+def first_derivatives(q, arm) -> np.ndarray:
+    """dT_p/dq_i of the frames 1 to n, equation 2.3.
+
+    Arguments of :func:`link_transforms`. Returns (n, n, 4, 4), [p - 1, i - 1]; zero where joint i
+    is outside frame p.
+    """
+    q, table = _arguments(q, arm)
+    between = _between(q, table)
+    n = len(q)
+    out = np.zeros((n, n, 4, 4), dtype=q.dtype)
+    for p in range(n):
+        for i in range(p + 1):
+            out[p, i] = between[0][i] @ Q @ between[i][p + 1]
+    return out
+
+
+def second_derivatives(q, arm) -> np.ndarray:
+    """d2T_p/dq_i dq_j of the frames 1 to n, equation 2.4.
+
+    Arguments of :func:`link_transforms`. Returns (n, n, n, 4, 4), [p - 1, i - 1, j - 1], symmetric
+    in i and j.
+    """
+    q, table = _arguments(q, arm)
+    between = _between(q, table)
+    n = len(q)
+    out = np.zeros((n, n, n, 4, 4), dtype=q.dtype)
+    for p in range(n):
+        for i in range(p + 1):
+            for j in range(i, p + 1):
+                out[p, i, j] = between[0][i] @ Q @ between[i][j] @ Q @ between[j][p + 1]
+                out[p, j, i] = out[p, i, j]
+    return out
+
+
+def _between(q, table):
+    """between[i][p] is the transform from frame i to frame p >= i."""
+    steps = [dh_transform(angle, *row) for angle, row in zip(q, table)]
+    n = len(steps)
+    between = []
+    for i in range(n + 1):
+        row = [None] * i + [np.eye(4)]
+        for p in range(i, n):
+            row.append(row[-1] @ steps[p])
+        between.append(row)
+    return between
+
+
+def _arguments(q, arm):
+    q = np.asarray(q)
+    if q.dtype.kind not in "fc":
+        q = q.astype(float)
+    table = dh_table(arm) if isinstance(arm, ArmParameters) else np.asarray(arm, dtype=float)
+    if q.ndim != 1 or len(q) > len(table):
+        raise ValueError(f"angles of shape {q.shape} for {len(table)} links; expected (n,) with n at most {len(table)}")
+    return q, table[: len(q)]
+
+
+def _exact(value):
+    return np.round(value) if abs(value - np.round(value)) < 1e-15 else value

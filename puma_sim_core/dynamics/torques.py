@@ -1,0 +1,249 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""The torques of the effects at the joints: a new law of a joint is one line here.
+
+Scalar code as in `kernel`, whose arguments these are. Smooth torques depend on position and
+velocity; dry friction is a level, of which a part stays the same over a step, a part falls with
+the speed and a part depends on the pose; and it may act through a bristle.
+"""
+
+from __future__ import annotations
+
+from math import cos, sin
+
+from puma_sim_core import effects as _registry
+from puma_sim_core.effects.friction import (
+    ASYMMETRIC_COULOMB,
+    COULOMB,
+    LOAD_DEPENDENT,
+    POSITION_DEPENDENT,
+    PRESLIDING,
+    QUADRATIC,
+    STRIBECK,
+    asymmetric_level,
+    bristle_flow,
+    coulomb_level,
+    load_level,
+    loaded_torque,
+    position_level,
+    presliding_level,
+    quadratic_torque,
+    stribeck_level,
+    stribeck_sliding_level,
+)
+from puma_sim_core.effects.motor import RIPPLE, ripple_torque
+from puma_sim_core.effects.outside import BASE_TILT, SPRING, spring_torque, tilt_torques
+from puma_sim_core.effects.stops import SOFT_STOP, stop_torque
+from puma_sim_core.jit import inlined, outlined
+
+WIDTH = _registry.WIDTH
+SMOOTH, DRY, VARYING, POSED = _registry.SMOOTH, _registry.DRY, _registry.VARYING, _registry.POSED
+BRISTLE, TILT, TIMED = _registry.BRISTLE, _registry.TILT, _registry.TIMED
+
+_COULOMB = _registry.slot(COULOMB)
+_ASYMMETRIC = _registry.slot(ASYMMETRIC_COULOMB)
+_STRIBECK = _registry.slot(STRIBECK)
+_PRESLIDING = _registry.slot(PRESLIDING)
+_STOP = _registry.slot(SOFT_STOP)
+_QUADRATIC = _registry.slot(QUADRATIC)
+_LOAD = _registry.slot(LOAD_DEPENDENT)
+_POSITION = _registry.slot(POSITION_DEPENDENT)
+_RIPPLE = _registry.slot(RIPPLE)
+_SPRING = _registry.slot(SPRING)
+#: the places of an effect of the whole arm hold `outside.tilt_constants`
+_TILT = _registry.slot(BASE_TILT)
+
+
+@inlined
+def link_torque(j, q, qd, p):
+    """`smooth_torque` of the effects that act on the link itself, behind the gear."""
+    k = j * WIDTH
+    torque = stop_torque(p, k + _STOP, q, qd)
+    torque += spring_torque(p, k + _SPRING, q)
+    return torque
+
+
+@inlined
+def motor_torque(j, q, qd, p):
+    """`smooth_torque` of the effects that act on the motor and its gear."""
+    k = j * WIDTH
+    torque = quadratic_torque(p, k + _QUADRATIC, qd)
+    torque += ripple_torque(p, k + _RIPPLE, q)
+    return torque
+
+
+@inlined
+def smooth_torque(j, q, qd, p):
+    """Torque [N.m] of joint j's smooth effects, positive against positive motion."""
+    return link_torque(j, q, qd, p) + motor_torque(j, q, qd, p)
+
+
+@inlined
+def constant_level(j, direction, p):
+    """Dry friction [N.m] of joint j that depends on nothing but its direction (+1, -1)."""
+    k = j * WIDTH
+    level = coulomb_level(p, k + _COULOMB)
+    level += asymmetric_level(p, k + _ASYMMETRIC, direction)
+    level += presliding_level(p, k + _PRESLIDING)
+    level += stribeck_sliding_level(p, k + _STRIBECK)
+    return level
+
+
+@inlined
+def pose_level(j, q, gravity, torque, p):
+    """Dry friction [N.m] of joint j that depends on the pose and the load: on its position q
+    [rad], its gravity torque and what its motor gives after viscous friction [N.m]."""
+    k = j * WIDTH
+    return load_level(p, k + _LOAD, gravity, torque) + position_level(p, k + _POSITION, q)
+
+
+@inlined
+def sliding_level(j, direction, q, gravity, torque, speed, p):
+    """All dry friction [N.m] of joint j when it slides in `direction` at `speed` >= 0 [rad/s] in
+    a pose, as `pose_level` takes it."""
+    level = constant_level(j, direction, p)
+    level += stribeck_level(p, j * WIDTH + _STRIBECK, speed)
+    return level + pose_level(j, q, gravity, torque, p)
+
+
+@inlined
+def inverse_torque(j, sign, q, gravity, torque, speed, p):
+    """Torque [N.m] that joint j's motor gives, after viscous friction, where a motion takes
+    `torque` beside dry friction; sign : of its velocity, -1..1."""
+    direction = 1.0 if sign > 0.0 else -1.0
+    torque += sign * sliding_level(j, direction, q, 0.0, 0.0, speed, p)
+    return loaded_torque(p, j * WIDTH + _LOAD, gravity, torque, sign)
+
+
+@inlined
+def has_dry(j, p):
+    """Whether joint j has dry friction, in one direction and in one pose at least."""
+    k = j * WIDTH
+    return (
+        constant_level(j, 1.0, p) > 0.0
+        or constant_level(j, -1.0, p) > 0.0
+        or p[k + _STRIBECK] > 0.0
+        or p[k + _LOAD] > 0.0
+        or p[k + _POSITION] > 0.0
+        or p[k + _POSITION + 1] > 0.0
+    )
+
+
+@inlined
+def has_bristle(j, p):
+    """Whether joint j's dry friction acts through a bristle."""
+    return p[j * WIDTH + _PRESLIDING] > 0.0
+
+
+@inlined
+def bristle_level(j, q, gravity, torque, qd, p):
+    """Dry friction [N.m] that bounds joint j's bristle at velocity qd; 0.0 without a bristle."""
+    if not has_bristle(j, p):
+        return 0.0
+    return sliding_level(j, 1.0 if qd > 0.0 else -1.0, q, gravity, torque, abs(qd), p)
+
+
+@inlined
+def bristle_step(j, z, travel, level, p):
+    """Deflection [rad] of joint j's bristle after `travel` [rad], and its torque [N.m]."""
+    stiffness = p[j * WIDTH + _PRESLIDING]
+    if stiffness == 0.0:
+        return 0.0, 0.0
+    z = bristle_flow(z, travel, level / stiffness)
+    return z, stiffness * z
+
+
+@inlined
+def gravity_torques(trig, body):
+    """Gravity torques [N.m] of joints 2 and 3 on a level base; joint 1 has none."""
+    s2, c2, su, cu = trig
+    G3 = body[16] * cu + body[17] * su
+    return body[18] * c2 + body[19] * s2 + G3, G3
+
+
+@inlined
+def smooth_torques(q1, q2, q3, w1, w2, w3, p):
+    """`smooth_torque` of the three joints."""
+    return smooth_torque(0, q1, w1, p), smooth_torque(1, q2, w2, p), smooth_torque(2, q3, w3, p)
+
+
+@outlined
+def tilted_torques(q1, trig, body, p):
+    """`tilt_torques` of the plant's base."""
+    return tilt_torques(
+        p[_TILT],
+        p[_TILT + 1],
+        p[_TILT + WIDTH],
+        p[_TILT + WIDTH + 1],
+        p[_TILT + 2 * WIDTH],
+        sin(q1),
+        cos(q1),
+        trig,
+        body,
+    )
+
+
+@inlined
+def pose_levels(q1, q2, q3, t1, t2, t3, trig, body, p):
+    """`pose_level` of the three joints."""
+    G2, G3 = gravity_torques(trig, body)
+    return (pose_level(0, q1, 0.0, t1, p), pose_level(1, q2, G2, t2, p), pose_level(2, q3, G3, t3, p))
+
+
+@inlined
+def effect_torques(q1, q2, q3, w1, w2, w3, t1, t2, t3, trig, body, active, p, slip, bend):
+    """Torques at the joints [N.m] less what the active effects take.
+
+    t1, t2, t3 : what the motors give after viscous friction, which is what loads the gears.
+    """
+    m1, m2, m3 = t1, t2, t3
+    if active & SMOOTH:
+        f1, f2, f3 = smooth_torques(q1, q2, q3, w1, w2, w3, p)
+        t1 -= f1
+        t2 -= f2
+        t3 -= f3
+    if active & TILT:
+        g1, g2, g3 = tilted_torques(q1, trig, body, p)
+        t1 -= g1
+        t2 -= g2
+        t3 -= g3
+    if active & (DRY | TIMED):
+        s1, s2, s3, c1, c2, c3 = slip
+        t1 -= c1
+        t2 -= c2
+        t3 -= c3
+        if active & VARYING:
+            t1 -= s1 * stribeck_level(p, _STRIBECK, abs(w1))
+            t2 -= s2 * stribeck_level(p, WIDTH + _STRIBECK, abs(w2))
+            t3 -= s3 * stribeck_level(p, 2 * WIDTH + _STRIBECK, abs(w3))
+        if active & POSED:
+            f1, f2, f3 = pose_levels(q1, q2, q3, m1, m2, m3, trig, body, p)
+            t1 -= s1 * f1
+            t2 -= s2 * f2
+            t3 -= s3 * f3
+    if active & BRISTLE:
+        f1, f2, f3 = bend
+        t1 -= f1
+        t2 -= f2
+        t3 -= f3
+    return t1, t2, t3
+
+
+@inlined
+def bristle_levels(q1, q2, q3, w1, w2, w3, motors, trig, body, p):
+    """`bristle_level` of the three joints; motors : what they give after viscous friction."""
+    G2, G3 = gravity_torques(trig, body)
+    return (
+        bristle_level(0, q1, 0.0, motors[0], w1, p),
+        bristle_level(1, q2, G2, motors[1], w2, p),
+        bristle_level(2, q3, G3, motors[2], w3, p),
+    )
+
+
+@inlined
+def bristle_torques(z, t1, t2, t3, level, p):
+    """Deflections (z1, z2, z3) after travels t1, t2, t3 [rad], and their torques [N.m]."""
+    z1, f1 = bristle_step(0, z[0], t1, level[0], p)
+    z2, f2 = bristle_step(1, z[1], t2, level[1], p)
+    z3, f3 = bristle_step(2, z[2], t3, level[2], p)
+    return (z1, z2, z3), (f1, f2, f3)

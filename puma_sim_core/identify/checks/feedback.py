@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""Whether feedback in the recording makes a delay or an elasticity out of noise.
+
+Under position control the voltage answers to the noise of the measured position and to what pushes
+the joint. Regressors that are made of the voltage's or the acceleration's fast part are then
+correlated with the residual, and their coefficients are biased. The test is that of Durbin, Wu and
+Hausman (Hausman 1978, Econometrica 46:1251): what the instruments do not predict of the regressor
+is added as a regressor of its own; if that one matters, the regressor is not exogenous.
+
+Instruments are the setpoints with their derivatives, and, in a log without setpoints, voltages and
+positions older than the noise remembers.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import chi2
+
+from puma_sim_core.identify.data import filters
+from puma_sim_core.identify.result import FeedbackBias
+
+#: a p-value below this says that feedback biases [per joint]
+SIGNIFICANCE = 0.005
+#: age [s] past which noise is forgotten, and the ages of the instruments behind it
+_FORGOTTEN = 0.12
+_AGES = (0.0, 0.03, 0.08)
+
+
+def instruments(problem, joint: int) -> tuple[np.ndarray, str]:
+    """(m, k) instruments of one joint at the kept rows, and what they are."""
+    s = problem.sampled
+    if s.setpoint is not None and np.ptp(s.setpoint[:, joint]) > 0.0:
+        source, first, name = s.setpoint[:, [joint]], 0.0, "setpoints"
+    else:
+        source = np.column_stack([s.voltage[:, joint], s.position[:, joint]])
+        first, name = _FORGOTTEN, "voltages and positions older than the noise"
+    columns = []
+    for rows in s.stretches:
+        parts = []
+        derivatives = filters.low_pass(source[rows], s.step, s.cutoffs[1], (0, 1, 2, 3))
+        for age in _AGES:
+            shift = int(round((first + age) / s.step))
+            for d in derivatives:
+                parts.append(np.vstack([np.repeat(d[:1], shift, axis=0), d[: len(d) - shift]]))
+        columns.append(np.hstack(parts))
+    Z = np.vstack(columns)[problem.kept]
+    Z = Z - Z.mean(axis=0)
+    size = np.linalg.norm(Z, axis=0)
+    Z = Z[:, size > 0.0] / size[size > 0.0]
+    # directions that differ by rounding only are no instruments
+    U, values, _ = np.linalg.svd(Z, full_matrices=False)
+    return U[:, values > 1e-6 * values[0]], name
+
+
+def test(problem, fit) -> FeedbackBias:
+    """The test at each joint, for the rate of the commanded voltage.
+
+    fit : the model with all that was found in it (`search.Fit`).
+    """
+    s = problem.sampled
+    rate = s.second(s.voltage, order=1)[problem.kept]
+    statistic = np.zeros(s.joints)
+    name = ""
+    for j in range(s.joints):
+        w = fit.whiteners[j]
+        Z, name = instruments(problem, j)
+        x, Zw = w(rate[:, j]), w(Z)
+        N, e = fit.base.N[j], fit.base.innovations()[j]
+        unexplained = x - Zw @ np.linalg.lstsq(Zw, x, rcond=None)[0]
+        X = np.column_stack([x, unexplained])
+        size = np.linalg.norm(X, axis=0)
+        if not (size > 1e-9 * np.sqrt(len(x))).all():
+            continue
+        X = X / size
+        # the parameters that the fit moved take part in both regressions
+        inner = np.eye(N.shape[1]) + N.T @ N
+        project = X - N @ np.linalg.solve(inner, N.T @ X)
+        G = X.T @ project
+        if np.linalg.cond(G) > 1e8:
+            continue
+        b = np.linalg.solve(G, project.T @ e)
+        covariance = np.linalg.inv(G) * max(1.0, float((e**2).mean()))
+        statistic[j] = b[1] ** 2 / covariance[1, 1]
+    p_value = chi2.sf(statistic, 1)
+    biased = bool((p_value < SIGNIFICANCE).any())
+    joints = ", ".join(str(j + 1) for j in np.flatnonzero(p_value < SIGNIFICANCE))
+    sentence = (
+        f"Feedback shows in the voltage of joint {joints}: a delay or an elasticity found "
+        f"here may be made by it; a dither on the voltage would tell."
+        if biased
+        else "No sign that feedback biases a delay or an elasticity."
+    )
+    return FeedbackBias(statistic, p_value, biased, name, sentence)

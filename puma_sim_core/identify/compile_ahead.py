@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""Compile what `explain` runs, ahead of its first use.
+
+`python -m puma_sim_core.identify.compile_ahead` takes the better part of a minute; what it makes is kept
+on the disk, for this user and these sources.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+
+from puma_sim_core.effects import parse_effect
+from puma_sim_core.identify.data.ingest import Log
+from puma_sim_core.identify.data.sampling import sample
+from puma_sim_core.identify.screening.known_effects import known_voltage
+from puma_sim_core.identify.screening.problem import Problem
+from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.simulation.simulator import Simulator
+from puma_sim_core.simulation.tracking import innovations
+
+_EFFECTS = ((), ("coulomb_friction:joint=2,torque=5",), ("joint_elasticity:joint=2,stiffness=2e4",))
+
+
+def main() -> int:
+    """Run each compiled part on a second of a slow motion."""
+    mechanism = load_mechanism()
+    time = np.arange(0.0, 3.0, 0.01)
+    position = 0.1 * np.sin(np.outer(time, (3.0, 4.0, 5.0)))
+    voltage = np.zeros_like(position)
+    theta = mechanism.start
+    signals = Problem(sample([Log("made", time, voltage, position)]), mechanism).signals(theta)
+    for texts in _EFFECTS:
+        plant = mechanism.plant(theta, [parse_effect(text) for text in texts])
+        rows = slice(0, 4)
+        innovations(Simulator(plant), time[rows], voltage[rows], position[rows], np.zeros((3, 3)))
+        Simulator(plant).run(time[rows], voltage[rows])
+        if texts:
+            known_voltage(mechanism.of_plant(plant), theta, signals)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

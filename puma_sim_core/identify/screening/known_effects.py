@@ -1,0 +1,255 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""What effects that a model already holds make of the voltage along a measured motion.
+
+Inverse dynamics give the voltage of a motion by the model without effects; the difference that
+known effects make to it is taken from the same laws that the kernel simulates, along the measured
+motion, so that a model with effects can be the start of an explanation.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from puma_sim_core.dynamics.rigid import library_trigonometry
+from puma_sim_core.dynamics.runs import terminal_voltage
+from puma_sim_core.dynamics.timed import drive_at, push_over
+from puma_sim_core.dynamics.torques import (
+    bristle_level,
+    bristle_step,
+    gravity_torques,
+    has_bristle,
+    inverse_torque,
+    sliding_level,
+    smooth_torques,
+    tilted_torques,
+)
+from puma_sim_core.effects import BRISTLE, DROOP, DRY, SENSED, SMOOTH, TILT, TIMED, VARYING, WIDTH, Effect, slot
+from puma_sim_core.effects.amplifier import CURRENT_LIMITER, SUPPLY
+from puma_sim_core.effects.columns.common import change_of_voltage, derivative, torque_volts
+from puma_sim_core.effects.columns.transmission import link_side, on_links, shaft_torque, tooth_torque
+from puma_sim_core.effects.motor import DRIFT
+from puma_sim_core.effects.screening import Signals
+from puma_sim_core.jit import BACKEND, compiled
+from puma_sim_core.plant.mechanism import Mechanism
+from puma_sim_core.simulation.delay import input_delay
+
+#: share of its limit from which a current counts as held by it
+_HELD = 0.98
+
+
+@compiled
+def _taken(time, step, q, w, motor, sign, begin, body, drive, active, p, out):
+    """Torques (n, 3) [N.m] that the effects of a plant take at the rows of a motion.
+
+    motor (n, 3): torque that the motion takes without effects and viscous friction [N.m]; sign
+    (n, 3): direction of sliding, smooth about reversals; begin (n,): 1.0 where a stretch of record
+    begins, with bristles at rest.
+    """
+    z1, z2, z3 = 0.0, 0.0, 0.0
+    for r in range(len(time)):
+        trig = library_trigonometry(q[r][1], q[r][2])
+        G2, G3 = gravity_torques(trig, body)
+        f1, f2, f3 = 0.0, 0.0, 0.0
+        if active & SMOOTH:
+            f1, f2, f3 = smooth_torques(q[r][0], q[r][1], q[r][2], w[r][0], w[r][1], w[r][2], p)
+        if active & TILT:
+            g1, g2, g3 = tilted_torques(q[r][0], trig, body, p)
+            f1, f2, f3 = f1 + g1, f2 + g2, f3 + g3
+        t1, t2, t3 = motor[r][0] + f1, motor[r][1] + f2, motor[r][2] + f3
+        if active & TIMED:
+            push = push_over(time[r] - 0.5 * step, step, p)
+            now = drive_at(time[r], drive, p)
+            t1, t2, t3 = t1 - push[0], t2 - push[1], t3 - push[2]
+            f1 += (now[4] - drive[4]) * w[r][0] - push[0]
+            f2 += (now[9] - drive[9]) * w[r][1] - push[1]
+            f3 += (now[14] - drive[14]) * w[r][2] - push[2]
+        if active & (DRY | VARYING):
+            f1 += _sliding(0, q[r][0], w[r][0], sign[r][0], 0.0, t1, p)
+            f2 += _sliding(1, q[r][1], w[r][1], sign[r][1], G2, t2, p)
+            f3 += _sliding(2, q[r][2], w[r][2], sign[r][2], G3, t3, p)
+        if active & BRISTLE:
+            if begin[r] != 0.0:
+                z1, z2, z3 = 0.0, 0.0, 0.0
+            else:
+                z1, g1 = _bent(0, z1, q[r][0] - q[r - 1][0], q[r][0], w[r][0], 0.0, t1, p)
+                z2, g2 = _bent(1, z2, q[r][1] - q[r - 1][1], q[r][1], w[r][1], G2, t2, p)
+                z3, g3 = _bent(2, z3, q[r][2] - q[r - 1][2], q[r][2], w[r][2], G3, t3, p)
+                f1, f2, f3 = f1 + g1, f2 + g2, f3 + g3
+        out[r, 0] = f1
+        out[r, 1] = f2
+        out[r, 2] = f3
+
+
+@compiled
+def _sliding(j, q, w, sign, gravity, torque, p):
+    """Dry friction [N.m] of joint j, 0.0 where it acts through a bristle; torque : that of the
+    motor without it."""
+    if has_bristle(j, p):
+        return 0.0
+    torque = inverse_torque(j, sign, q, gravity, torque, abs(w), p)
+    return sign * sliding_level(j, 1.0 if w > 0.0 else -1.0, q, gravity, torque, abs(w), p)
+
+
+@compiled
+def _bent(j, z, travel, q, w, gravity, torque, p):
+    """Deflection [rad] and torque [N.m] of joint j's bristle after `travel` [rad]; torque : that
+    of the motor without it."""
+    end, own = bristle_step(j, z, 0.0, 0.0, p)
+    # its own torque is part of the load that bounds it
+    for _ in range(2):
+        level = bristle_level(j, q, gravity, torque + own, w, p)
+        end, own = bristle_step(j, z, travel, level, p)
+    return end, own
+
+
+@compiled
+def _terminal(volts, p, out):
+    for r in range(len(volts)):
+        for j in range(3):
+            out[r, j] = terminal_voltage(j, volts[r][j], p)
+
+
+def known_voltage(mechanism: Mechanism, theta, signals: Signals) -> np.ndarray:
+    """(n, J) part of V - Vhat [V] that the mechanism's own effects make.
+
+    Vhat is the model without effects, `Mechanism.model_voltage` with its lag, and signals are those
+    of that model (`Signals`). What remains, V - Vhat - this, is what the start model does not
+    explain. Zero where there are no effects. Elasticity and play are taken joint by joint; where
+    a current is held by its limit the remainder is 0.
+    """
+    joints = mechanism.joints
+    total = np.zeros((len(signals.time), joints))
+    if not mechanism.effects:
+        return total
+    plant = mechanism.plant(theta)
+    hidden = 3 - joints
+    body, drive, active, table = plant.constants
+    p = np.array(table, dtype=float) if BACKEND == "numba" else list(map(float, table))
+    if active & SENSED:
+        total += _seen_otherwise(plant.effects, signals)
+    taken = _torques(plant, signals, body, drive, active, p)[:, hidden:]
+    total += np.stack([torque_volts(signals, j, taken[:, j]) for j in range(joints)], axis=1)
+    torque, constants = signals.torque + taken, mechanism.drive(theta)
+    current = torque * constants.volts_per_torque / constants.resistance
+    for effect in plant.effects:
+        total += _train(effect, signals)
+        if effect.kind is DRIFT:
+            j, values = effect.joint - 1, effect.values
+            grown = -values["share"] * np.expm1(-signals.time / values["time_constant"])
+            total[:, j] += grown * signals.volts_per_torque[j] * torque[:, j]
+    total += _lost_before_the_motor(signals, current, active, p, hidden)
+    limit = np.array([p[j * WIDTH + slot(CURRENT_LIMITER)] for j in range(hidden, 3)])
+    model = _model(signals)
+    remainder = signals.voltage - model - total
+    held = (np.abs(current) >= _HELD * limit) & (remainder * current > 0.0)
+    return np.where(held, signals.voltage - model, total) * signals.enable
+
+
+def _model(signals: Signals) -> np.ndarray:
+    """(n, J) voltage of the model without effects."""
+    motors = [torque_volts(signals, j, signals.torque[:, j]) for j in range(signals.joints)]
+    return np.stack(motors, axis=1) + signals.emf * signals.velocity
+
+
+def _torques(plant, signals: Signals, body, drive, active, p) -> np.ndarray:
+    """(n, 3) torques that the effects take [N.m]."""
+    hidden = ((0, 0), (3 - plant.joints, 0))
+    speed = signals.velocity
+    width = np.maximum(2.0 * signals.velocity_noise, 1e-9)
+    motor = signals.torque - signals.viscous * speed
+    arrays = [np.pad(values, hidden) for values in (signals.position, speed, motor, speed / np.hypot(speed, width))]
+    begin = np.diff(signals.segment, prepend=signals.segment[0] - 1) != 0
+    out = np.zeros((len(signals.time), 3))
+    if BACKEND == "numba":
+        _taken(signals.time, signals.step, *arrays, begin.astype(float), body, drive, active, p, out)
+    else:
+        _taken(
+            signals.time.tolist(),
+            signals.step,
+            *(a.tolist() for a in arrays),
+            begin.astype(float).tolist(),
+            body,
+            drive,
+            active,
+            p,
+            out,
+        )
+    return out
+
+
+def _lost_before_the_motor(signals: Signals, current, active: int, p, hidden: int) -> np.ndarray:
+    """(n, J) commanded less terminal voltage [V]."""
+    late = input_delay(active, p)
+    arriving = signals.voltage
+    if late > 0.0:
+        arriving = np.empty_like(signals.voltage)
+        cuts = np.flatnonzero(np.diff(signals.segment)) + 1
+        for rows in np.split(np.arange(len(signals.time)), cuts):
+            for j in range(signals.joints):
+                arriving[rows, j] = np.interp(signals.time[rows] - late, signals.time[rows], signals.voltage[rows, j])
+    padded = np.pad(arriving, ((0, 0), (hidden, 0)))
+    out = np.zeros_like(padded)
+    _terminal(padded if BACKEND == "numba" else padded.tolist(), p, out)
+    terminal = out[:, hidden:]
+    if active & DROOP:
+        drawn = np.abs(current).sum(axis=1, keepdims=True)
+        terminal = terminal * np.maximum(1.0 - p[slot(SUPPLY)] * drawn, 0.0)
+    return signals.voltage - terminal
+
+
+def _seen_otherwise(effects, signals: Signals) -> np.ndarray:
+    """(n, J) change of the model's voltage [V] by what sensors make of the positions."""
+    total = np.zeros_like(signals.position)
+    motion = (signals.position, signals.velocity, signals.acceleration)
+    for effect in effects:
+        j, values = (effect.joint or 1) - 1, effect.values
+        q, qd, qdd = (each[:, j] for each in motion)
+        if effect.kind.name == "encoder_offset":
+            change = (np.full_like(q, -values["angle"]), 0.0 * q, 0.0 * q)
+        elif effect.kind.name == "sensor_lag":
+            T = values["time_constant"]
+            change = (T * qd, T * qdd, T * derivative(qdd, signals))
+        elif effect.kind.name == "sensor_nonlinearity":
+            n = 2.0 * np.pi / values["period"]
+            angle, a = n * q + values["phase"], values["amplitude"]
+            change = (
+                -a * np.sin(angle),
+                -a * n * np.cos(angle) * qd,
+                a * n * (n * np.sin(angle) * qd**2 - np.cos(angle) * qdd),
+            )
+        else:
+            continue
+        for i, volts in change_of_voltage(signals, j, *change).items():
+            total[:, i] += volts
+    return total
+
+
+def _train(effect: Effect, signals: Signals) -> np.ndarray:
+    """(n, J) voltage [V] of a drive train that is soft or not round."""
+    total = np.zeros_like(signals.position)
+    if effect.kind.name == "transmission_error":
+        j, v = effect.joint - 1, effect.values
+        q, qd, qdd = (each[:, j] for each in (signals.position, signals.velocity, signals.acceleration))
+        n, e, angle = v["order"], v["amplitude"], v["order"] * q + v["phase"]
+        change = (
+            e * np.sin(angle),
+            e * n * np.cos(angle) * qd,
+            e * n * (np.cos(angle) * qdd - n * np.sin(angle) * qd**2),
+        )
+        found = change_of_voltage(signals, j, *change, motor=False)
+        found[j] = found[j] + torque_volts(signals, j, e * n * np.cos(angle) * signals.link_torque[:, j])
+    elif effect.kind.name in ("joint_elasticity", "backlash"):
+        j, v = effect.joint - 1, effect.values
+        inertia, torque = link_side(signals, j)
+        passed = (
+            shaft_torque(signals, torque, inertia, v["stiffness"], v["damping"])
+            if effect.kind.name == "joint_elasticity"
+            else tooth_torque(signals, torque, inertia, v["gap"], v["stiffness"], v["damping"])
+        )
+        found = on_links(signals, j, passed - torque, inertia)
+    else:
+        return total
+    for i, volts in found.items():
+        total[:, i] += volts
+    return total

@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""Compiling the kernel: by numba where it is installed, plain Python otherwise.
+
+A process uses one of the two throughout. The environment variable ``PUMA_SIM_KERNEL`` chooses:
+``numba`` (an error where it is missing), ``python``, or ``auto``, the default. Both give the same
+bits: numba's fast-math options stay off, so that no product is fused with a sum, and both call
+the same sine, cosine and exponential of the C library.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+from pathlib import Path
+
+from puma_sim_core.errors import ParameterError
+
+_PACKAGE = Path(__file__).resolve().parent
+#: folders and files that compiled functions stand in; a change of any of them makes an older cache void
+_SOURCES = ("jit.py", "dynamics", "effects", "simulation/tracking.py", "identify/screening/known_effects.py")
+
+
+def _choose() -> str:
+    wanted = os.environ.get("PUMA_SIM_KERNEL", "auto")
+    if wanted not in ("auto", "numba", "python"):
+        raise ParameterError(
+            f"kernel '{wanted}'", where="environment variable PUMA_SIM_KERNEL", expected="auto, numba or python"
+        )
+    if wanted == "python":
+        return "python"
+    try:
+        import numba  # noqa: F401
+    except ImportError:
+        if wanted == "numba":
+            raise ParameterError(
+                "numba is not installed",
+                where="environment variable PUMA_SIM_KERNEL",
+                expected="python or auto, or `pip install numba`",
+            ) from None
+        return "python"
+    return "numba"
+
+
+def _source_digest() -> str:
+    """Digest of all sources that are compiled together.
+
+    numba's own cache looks only at the file of the function itself, and would go on using an
+    entry whose callee in another file has changed.
+    """
+    digest = hashlib.sha256(sys.version.encode())
+    for name in _SOURCES:
+        path = _PACKAGE / name
+        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
+            if file.exists():
+                digest.update(file.name.encode() + file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _cache_directory() -> str | None:
+    """A writable folder for compiled code, or None: an install without one compiles each time."""
+    base = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or "~/.cache"
+    try:
+        # a user without an entry in the password file has no ~
+        folder = Path(base).expanduser() / "puma_sim" / f"kernel-{_source_digest()}"
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = folder / f".probe-{os.getpid()}"
+        probe.touch()
+        probe.unlink()
+    except (OSError, RuntimeError):
+        return None
+    return str(folder)
+
+
+BACKEND = _choose()
+
+if BACKEND == "numba":
+    import numba
+
+    _CACHE = _cache_directory()
+
+    def _jit(function, **options):
+        before = numba.config.CACHE_DIR
+        try:
+            # numba looks the folder up while it decorates; other users of numba keep theirs
+            numba.config.CACHE_DIR = _CACHE or before
+            return numba.njit(function, nogil=True, error_model="numpy", cache=_CACHE is not None, **options)
+        finally:
+            numba.config.CACHE_DIR = before
+
+    def inlined(function):
+        """Compile as a part of its callers."""
+        return numba.njit(function, nogil=True, error_model="numpy", forceinline=True)
+
+    def outlined(function):
+        """Compile as a function of its own that compiled callers call."""
+        return numba.njit(function, nogil=True, error_model="numpy")
+
+    def merged(function):
+        """Put the source into its callers: for a large function that calls much, since each level
+        of calls has all code below it optimised once more."""
+        return numba.njit(function, nogil=True, error_model="numpy", inline="always")
+
+    def compiled(function):
+        """Compile as an entry that Python calls, kept on disk."""
+        return _jit(function)
+
+else:
+
+    def inlined(function):
+        """The function as it is."""
+        return function
+
+    def outlined(function):
+        """The function as it is."""
+        return function
+
+    def merged(function):
+        """The function as it is."""
+        return function
+
+    def compiled(function):
+        """The function as it is."""
+        return function
+
+
+def compiles_first() -> bool:
+    """Whether the first run will compile the kernel, for some ten seconds, instead of loading it."""
+    if BACKEND != "numba":
+        return False
+    return _CACHE is None or next(Path(_CACHE).rglob("*.nbi"), None) is None
+
+
+def interpreted(function):
+    """The plain Python of a function that is inlined elsewhere, for a caller that is not compiled
+    (a call would compile it, for a second)."""
+    return getattr(function, "py_func", function)

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""What `two_mass` needs of a plant whose links do not follow their motors exactly."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from math import ceil, floor, log10, sqrt
+
+import numpy as np
+
+from puma_sim_core.arm.parameters import ArmParameters, smallest_eigenvalue
+from puma_sim_core.arm.rigid_body import inertia
+from puma_sim_core.effects import Effect
+from puma_sim_core.effects.friction import PRESLIDING
+from puma_sim_core.effects.stops import SOFT_STOP
+from puma_sim_core.effects.transmission import BACKLASH, ELASTICITY, TRANSMISSION_ERROR, in_series
+from puma_sim_core.errors import ParameterError
+
+#: phase of the fastest vibration in a step [rad]: RK4 then turns it by 2e-4 of itself too little
+#: and damps it by 7e-5
+_PHASE_IN_A_STEP = 0.4
+#: decay of the fastest damped motion in a step; RK4 is stable up to 2.7
+_DECAY_IN_A_STEP = 1.0
+#: spacing of the poses that the fastest vibration is looked for at [rad]
+_POSES = 0.2
+
+
+def vanishes(effect: Effect) -> bool:
+    """Whether the effect, as it stands, leaves link and motor one: no play, no error at all."""
+    return (effect.kind is BACKLASH and effect.values["gap"] == 0.0) or (
+        effect.kind is TRANSMISSION_ERROR and effect.values["amplitude"] == 0.0
+    )
+
+
+class DriveTrains:
+    """The drive trains of an arm.
+
+    Parameters
+    ----------
+    arm : with its loads attached.
+    effects : of the plant; those that vanish count as absent.
+    drive : the constants of the motors, as the kernel takes them.
+
+    Attributes
+    ----------
+    link_arm : the arm whose motor inertias are what turns with the links alone: none where a joint
+        is rigid (the rotor's is added by `two_mass`), a part where rotor and link are two masses.
+    table : numbers of `effects.transmission`, joint by joint, and the least steps in a second.
+
+    Raises
+    ------
+    ParameterError : D + (1 - motor_share) Ia not positive definite, with the pose; two shares on
+        one joint; a motor without inertia.
+    """
+
+    def __init__(self, arm: ArmParameters, effects: Iterable[Effect], drive):
+        found = {(e.kind.name, e.joint): e.values for e in effects if not vanishes(e)}
+        self._shares = tuple(_share(found, joint) for joint in (1, 2, 3))
+        own = [motor.inertia for motor in arm.motors]
+        remaining = [0.0 if share is None else (1.0 - share) * inertia_ for share, inertia_ in zip(self._shares, own)]
+        self.link_arm = _with_inertias(arm, remaining)
+        self._check(arm, own, remaining)
+        trains = []
+        for joint, (share, inertia_) in enumerate(zip(self._shares, own), start=1):
+            trains.append(_train(found, joint, share, inertia_))
+        self.table = [number for train in trains for number in train]
+        self.table.append(self._least_rate(arm, found, own, remaining, trains, drive))
+
+    def _check(self, arm, own, remaining):
+        if all(share is None for share in self._shares):
+            return
+        matrix = [whole if share is None else part for share, whole, part in zip(self._shares, own, remaining)]
+        lowest, q2, q3 = smallest_eigenvalue(_with_inertias(arm, matrix))
+        if not lowest > 0.0:
+            joints = [j for j, share in enumerate(self._shares, start=1) if share is not None]
+            raise ParameterError(
+                "the inertia of the links, D + (1 - motor_share) Ia, is not positive definite: its "
+                f"smallest eigenvalue is {lowest:.4g} kg.m^2 at q2 = {np.degrees(q2):.1f} deg, "
+                f"q3 = {np.degrees(q3):.1f} deg",
+                where="elasticity or backlash on joint " + ", ".join(map(str, joints)),
+                expected="a smaller motor_share, or another parameter set",
+            )
+
+    def _least_rate(self, arm, found, own, remaining, trains, drive):
+        """Steps in a second [1/s], two digits, that hold the fastest motion of the trains."""
+        soft = [j for j in range(3) if trains[j][0]]
+        if not soft:
+            return 0.0
+        matrix = np.diag([remaining[j] if j in soft else own[j] for j in range(3)])
+        links = np.linalg.inv(inertia(_poses(arm), arm) + matrix)
+        rotors = np.diag([1.0 / trains[j][4] for j in soft])
+        # 1/m of two masses with a spring between, m the reduced mass
+        mobility = rotors + links[:, soft][:, :, soft]
+        stiffness, damping = np.zeros(3), np.zeros(3)
+        electric, braking = 0.0, 0.0
+        for j in soft:
+            _, stiffness[j], damping[j], _, rotor, amplitude, order, _ = trains[j]
+            slope = (1.0 + amplitude * order) ** 2
+            stiffness[j] *= slope
+            damping[j] *= slope
+            admittance, resistance, emf, kT, viscous = drive[5 * j : 5 * j + 5]
+            braking = max(braking, (viscous + kT * emf / resistance) / rotor)
+            electric = max(electric, sqrt(admittance * kT * emf / rotor))
+            # one of the two masses alone is never easier to move than both against each other
+            for other in (PRESLIDING, SOFT_STOP):
+                values = found.get((other.name, j + 1), {})
+                stiffness[j] += values.get("stiffness", 0.0)
+                damping[j] += values.get("damping", 0.0)
+        frequency = sqrt(_greatest(mobility, stiffness[soft]))
+        decay = _greatest(mobility, damping[soft]) + max(braking, electric)
+        return _two_digits(max(frequency / _PHASE_IN_A_STEP, decay / _DECAY_IN_A_STEP))
+
+
+def _share(found, joint):
+    """motor_share of a joint, None where it is rigid."""
+    shares = {found[name, joint]["motor_share"] for name in (ELASTICITY.name, BACKLASH.name) if (name, joint) in found}
+    if len(shares) > 1:
+        raise ParameterError(
+            f"motor_share {' and '.join(f'{s:g}' for s in sorted(shares))}",
+            where=f"elasticity and backlash of joint {joint}",
+            expected="the same in both: the joint has one rotor",
+        )
+    return shares.pop() if shares else None
+
+
+def _train(found, joint, share, motor_inertia):
+    springs = [
+        (found[name, joint]["stiffness"], found[name, joint]["damping"])
+        for name in (ELASTICITY.name, BACKLASH.name)
+        if (name, joint) in found
+    ]
+    error = found.get((TRANSMISSION_ERROR.name, joint), {})
+    wave = [error.get(name, 0.0) for name in ("amplitude", "order", "phase")]
+    if not springs:
+        return [0.0, 0.0, 0.0, 0.0, float(motor_inertia), *wave]
+    if not share * motor_inertia > 0.0:
+        raise ParameterError(
+            f"motor inertia {motor_inertia:g} kg.m^2",
+            where=f"elasticity or backlash on joint {joint}",
+            expected="more than 0: the rotor moves against its link",
+        )
+    gap = found.get((BACKLASH.name, joint), {}).get("gap", 0.0)
+    return [1.0, *in_series(springs), 0.5 * gap, float(share * motor_inertia), *wave]
+
+
+def _with_inertias(arm, inertias):
+    return replace(
+        arm, motors=tuple(replace(motor, inertia=float(value)) for motor, value in zip(arm.motors, inertias))
+    )
+
+
+def _poses(arm):
+    second, third = (np.linspace(low, high, int((high - low) / _POSES) + 2) for low, high in arm.joint_ranges[1:])
+    second, third = np.meshgrid(second, third, indexing="ij")
+    return np.stack([np.zeros(second.size), second.ravel(), third.ravel()], axis=-1)
+
+
+def _greatest(mobility, weights):
+    """Greatest eigenvalue of weights times mobility over all poses, made symmetric."""
+    root = np.sqrt(weights)
+    return float(np.linalg.eigvalsh(root[:, None] * mobility * root).max())
+
+
+def _two_digits(value):
+    """The value rounded up to two digits: the last bits of an eigenvalue differ by machine."""
+    scale = 10.0 ** (floor(log10(value)) - 1)
+    return ceil(value / scale) * scale

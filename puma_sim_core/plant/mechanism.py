@@ -1,0 +1,295 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""What the explaining loop needs of a machine: parameters with priors, torques, a plant.
+
+A `Mechanism` is an arm of three joints (`arm_mechanism`) or a single joint (`one_joint`): names,
+units and ranges, the parameters with the widths of their priors, and the inverse dynamics with
+derivatives. The voltage that a motion takes is, joint by joint (equations 4.1 and 5.1),
+
+    Vhat = k (1 + lag d/dt) [link torque + Ia qdd + H qd] + emf qd,   k = R / (N kt), lag = L / R.
+
+Functions take a vector ``theta`` of the parameters that are not known, in their units, and n rows
+at once. A model that already holds effects keeps them: they are in the plants, not in the torques.
+"""
+
+from __future__ import annotations
+
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from puma_sim_core.errors import ParameterError
+from puma_sim_core.resources import config_path
+
+if TYPE_CHECKING:
+    from puma_sim_core.effects import Effect
+    from puma_sim_core.plant.plant import Plant
+
+MECHANISM_FORMAT = "puma-sim mechanism 1"
+#: a number that must be positive stays within this share and this multiple of its start
+_LEAST_SHARE, _GREATEST_MULTIPLE = 0.1, 10.0
+
+
+@dataclass(frozen=True)
+class MechanismParameter:
+    """A number of a mechanism with its Gaussian prior.
+
+    value and deviation (standard deviation) in `unit`; known: taken as it is, not fitted;
+    positive: a fit must not let it become zero or change its sign.
+    """
+
+    name: str
+    unit: str
+    value: float
+    deviation: float
+    known: bool = False
+    positive: bool = True
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """What a fit may make of it: (low, high)."""
+        if self.positive:
+            return _LEAST_SHARE * self.value, _GREATEST_MULTIPLE * self.value
+        return -np.inf, np.inf
+
+
+class Drive(NamedTuple):
+    """Constants of the drives, (J,) each, or their derivatives, (J, p) each.
+
+    volts_per_torque : k = R / (N kt) [V per N.m or N]; lag : L / R [s]; emf : ke N [V.s/rad];
+    viscous : H [N.m.s/rad]; motor_inertia : Ia at the joint [kg.m^2]; resistance : R [ohm]. With a
+    current-controlled amplifier lag and emf are 0, R is 1, and the "voltage" is its command.
+    """
+
+    volts_per_torque: np.ndarray
+    lag: np.ndarray
+    emf: np.ndarray
+    viscous: np.ndarray
+    motor_inertia: np.ndarray
+    resistance: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Mechanism(ABC):
+    """A machine as the loop sees it; see `load_mechanism`.
+
+    Attributes
+    ----------
+    name : such as "puma560".
+    joints : J, 1 or 3.
+    position_unit, effort_unit : "rad" and "N.m", or "m" and "N".
+    ranges : ((low, high), ...) of the joints.
+    torque_scale : (J,) size of a middling friction torque, the unit of priors of effects.
+    gear : (J,) gear ratios N, 1 where there is none.
+    parameters : all numbers, with priors; theta holds those that are not known, in this order.
+    effects : what the start model has beyond `parameters`: known structure of every plant.
+    """
+
+    name: str
+    joints: int
+    position_unit: str
+    effort_unit: str
+    ranges: tuple[tuple[float, float], ...]
+    torque_scale: np.ndarray
+    gear: np.ndarray
+    parameters: tuple[MechanismParameter, ...]
+    effects: tuple[Effect, ...] = field(default=())
+
+    @cached_property
+    def free(self) -> tuple[MechanismParameter, ...]:
+        """The parameters that theta holds, (p,)."""
+        return tuple(p for p in self.parameters if not p.known)
+
+    @cached_property
+    def start(self) -> np.ndarray:
+        """(p,) theta of the start values."""
+        return np.array([p.value for p in self.free])
+
+    @cached_property
+    def deviations(self) -> np.ndarray:
+        """(p,) standard deviations of the prior of theta."""
+        return np.array([p.deviation for p in self.free])
+
+    @cached_property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper bounds (p,) of theta."""
+        low, high = zip(*(p.bounds for p in self.free)) if self.free else ((), ())
+        return np.array(low, dtype=float), np.array(high, dtype=float)
+
+    def clip(self, theta) -> np.ndarray:
+        """(p,) theta within its bounds."""
+        return np.clip(np.asarray(theta, dtype=float), *self.bounds)
+
+    def values(self, theta=None) -> dict:
+        """name -> value of all parameters; those of theta may be complex."""
+        result = {p.name: p.value for p in self.parameters}
+        if theta is not None:
+            theta = np.asarray(theta)
+            if theta.shape != (len(self.free),):
+                raise ParameterError(f"theta of shape {theta.shape}", where=self.name, expected=f"({len(self.free)},)")
+            result.update(zip((p.name for p in self.free), theta.tolist()))
+        return result
+
+    # ------------------------------------------------------------- what each mechanism defines
+
+    @abstractmethod
+    def torque(self, theta, q, qd, qdd) -> np.ndarray:
+        """(n, J) torque D qdd + C + G of the links, without the motors' inertia and friction."""
+
+    @abstractmethod
+    def gravity(self, theta, q) -> np.ndarray:
+        """(n, J) gravity torque G."""
+
+    @abstractmethod
+    def inertia(self, theta, q) -> np.ndarray:
+        """(n, J) diagonal of D."""
+
+    @abstractmethod
+    def inertia_matrix(self, theta, q) -> np.ndarray:
+        """(n, J, J) D of the links."""
+
+    def gravity_tilt(self, theta, q) -> np.ndarray | None:
+        """(n, J, 2) change of G per rad of base tilt x and y, or None (see `base_tilt`)."""
+        return None
+
+    def payload_torque(self, theta, z: float, q, qd, qdd) -> np.ndarray | None:
+        """(n, J) torque that 1 kg at (0, 0, z) of the last link takes, or None."""
+        return None
+
+    @abstractmethod
+    def link_jacobian(self, theta, q, qd, qdd) -> np.ndarray:
+        """(n, J, p) derivative of `torque`."""
+
+    @abstractmethod
+    def drive(self, theta) -> Drive:
+        """Constants of the drives, (J,) each."""
+
+    @abstractmethod
+    def plant(self, theta=None, effects: Iterable[Effect] = ()) -> Plant:
+        """The plant to simulate, with the mechanism's own effects and further ones."""
+
+    def possible(self, name: str) -> bool:
+        """Whether an effect of this name has a meaning here; plants refuse others."""
+        return True
+
+    @abstractmethod
+    def of_plant(self, plant: Plant) -> Mechanism:
+        """This mechanism with the numbers and effects of a plant as its start; the widths of the
+        priors stay, in proportion to the numbers.
+
+        Raises
+        ------
+        ParameterError : a plant of another kind.
+        """
+
+    # ------------------------------------------------------------------- what follows from it
+
+    def unit(self, unit: str) -> str:
+        """Unit of an effect's parameter on this mechanism: rad and N.m are m and N on an axis that
+        slides."""
+        return unit if self.position_unit == "rad" else unit.replace("N.m", "N").replace("rad", "m")
+
+    def total_torque(self, theta, q, qd, qdd) -> np.ndarray:
+        """(n, J) all that the motors must give: `torque` + Ia qdd + H qd."""
+        drive = self.drive(theta)
+        return self.torque(theta, q, qd, qdd) + drive.motor_inertia * qdd + drive.viscous * qd
+
+    def model_voltage(self, theta, q, qd, qdd) -> np.ndarray:
+        """(n, J) Vhat without its lag term: k * total torque + emf qd."""
+        drive = self.drive(theta)
+        return drive.volts_per_torque * self.total_torque(theta, q, qd, qdd) + drive.emf * np.asarray(qd)
+
+    def position_gradient(self, theta, q, qd, qdd) -> np.ndarray:
+        """(n, J, J) change of `torque` of joint i per rad (m) of joint j, by differences."""
+        q = np.asarray(q, dtype=float)
+        columns = []
+        for j in range(self.joints):
+            step = np.zeros(self.joints)
+            step[j] = 1e-5
+            columns.append((self.torque(theta, q + step, qd, qdd) - self.torque(theta, q - step, qd, qdd)) / 2e-5)
+        return np.stack(columns, axis=-1)
+
+    def drive_jacobian(self, theta) -> Drive:
+        """Derivatives (J, p) of the constants of the drives, by complex step."""
+        theta = np.asarray(theta, dtype=float)
+        columns = []
+        for n in range(len(theta)):
+            moved = theta.astype(complex)
+            moved[n] += 1e-30j
+            columns.append([np.imag(value) * 1e30 for value in self.drive(moved)])
+        if not columns:
+            return Drive(*(np.zeros((self.joints, 0)) for _ in Drive._fields))
+        return Drive(*(np.stack(each, axis=-1) for each in zip(*columns)))
+
+    def torque_jacobian(self, theta, q, qd, qdd) -> np.ndarray:
+        """(n, J, p) derivative of `total_torque`."""
+        slopes = self.drive_jacobian(theta)
+        result = self.link_jacobian(theta, q, qd, qdd)
+        result += np.asarray(qdd)[:, :, None] * slopes.motor_inertia
+        result += np.asarray(qd)[:, :, None] * slopes.viscous
+        return result
+
+    def voltage_jacobian(self, theta, q, qd, qdd) -> np.ndarray:
+        """(n, J, p) derivative of `model_voltage`."""
+        drive, slopes = self.drive(theta), self.drive_jacobian(theta)
+        result = self.torque_jacobian(theta, q, qd, qdd)
+        result *= drive.volts_per_torque[:, None]
+        result += self.total_torque(theta, q, qd, qdd)[:, :, None] * slopes.volts_per_torque
+        result += np.asarray(qd)[:, :, None] * slopes.emf
+        return result
+
+
+def mechanism_names() -> list[str]:
+    """Names of the mechanisms of the house, the default one first."""
+    names = sorted(path.stem for path in config_path("mechanisms").glob("*.yaml"))
+    return sorted(names, key=lambda name: name != "puma560")
+
+
+def load_mechanism(
+    name_or_path: str | os.PathLike = "puma560",
+    *,
+    parameters: str | None = None,
+    model: str | os.PathLike | None = None,
+) -> Mechanism:
+    """Read and check a mechanism of the house by its name, or a file by its path.
+
+    Parameters
+    ----------
+    parameters : published set or parameter file of an arm whose numbers are the start.
+    model : model file whose numbers and effects are the start.
+
+    Raises
+    ------
+    ParameterError, ModelError : no such mechanism or file, or one that is not usable; names the
+        file and the key.
+    """
+    from puma_sim_core.arm.parameters import load_parameters
+    from puma_sim_core.plant.mechanism_file import read_mechanism
+    from puma_sim_core.plant.plant import load_model
+
+    path, names = Path(name_or_path), mechanism_names()
+    if str(name_or_path) in names:
+        path = config_path("mechanisms", f"{name_or_path}.yaml")
+    elif not path.is_file():
+        raise ParameterError(
+            f"no mechanism or file '{name_or_path}'", expected=f"the path of a YAML file or one of {', '.join(names)}"
+        )
+    mechanism = read_mechanism(path)
+    if parameters is not None:
+        from puma_sim_core.plant.arm_mechanism import ArmMechanism
+
+        if not isinstance(mechanism, ArmMechanism):
+            raise ParameterError(
+                f"parameters '{parameters}' with mechanism '{mechanism.name}'",
+                expected="parameters of an arm with an arm only",
+            )
+        mechanism = mechanism.with_arm(load_parameters(parameters))
+    if model is not None:
+        mechanism = mechanism.of_plant(load_model(model))
+    return mechanism

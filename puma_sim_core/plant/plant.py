@@ -1,0 +1,259 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""A plant: an arm and the effects that act on it, and the file that holds both.
+
+A model file is YAML: ``format``, ``version`` of the package that wrote it, ``torque_form``,
+``parameters`` (the name of a published set, or a whole parameter file inlined) and ``effects``,
+each ``{name: ..., joint: ..., PARAMETER: {value: ..., unit: ...}}``.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+from puma_sim_core import __version__
+from puma_sim_core.arm.parameters import ArmParameters, from_mapping, load_parameters, to_mapping
+from puma_sim_core.arm.rigid_body import Lumps, lumped_constants
+from puma_sim_core.dynamics.circuit import ALGEBRAIC
+from puma_sim_core.effects import KINDS, Effect, active_stages, check_distinct, fill_arm, pack
+from puma_sim_core.effects.base import TWO_MASS
+from puma_sim_core.effects.friction import VISCOUS
+from puma_sim_core.effects.outside import BASE_TILT, tilt_constants
+from puma_sim_core.errors import ModelError, ParameterError
+from puma_sim_core.files import read_yaml, write_yaml
+from puma_sim_core.plant.drive_train import DriveTrains, vanishes
+
+MODEL_FORMAT = "puma-sim model 1"
+#: equation 5.2 as physics has it, F = N kt i, and as it is printed, F = kt i
+TORQUE_FORMS = ("physical", "printed")
+
+
+class KernelConstants(NamedTuple):
+    """What the kernel needs of a plant, in the order of its arguments (see `kernel`)."""
+
+    body: Lumps
+    drive: tuple[float, ...]
+    active: int
+    table: list[float]
+
+
+@dataclass(frozen=True)
+class Plant:
+    """An arm with effects.
+
+    Attributes
+    ----------
+    arm : masses, lengths, motors.
+    effects : what acts beyond the thesis's model; each kind once a joint.
+    torque_form : "physical" or "printed" (equation 5.2; only with the printed form, or with
+        open-circuit motors, does the arm fall as in plot 7.3).
+
+    Raises
+    ------
+    ParameterError : an effect twice, or an unknown torque form.
+    """
+
+    arm: ArmParameters
+    effects: tuple[Effect, ...] = ()
+    torque_form: str = "physical"
+
+    def __post_init__(self):
+        if self.torque_form not in TORQUE_FORMS:
+            raise ParameterError(f"torque_form '{self.torque_form}'", expected=" or ".join(TORQUE_FORMS))
+        effects = tuple(effect.on(self.arm) for effect in self.effects)
+        check_distinct(effects)
+        object.__setattr__(self, "effects", effects)
+        if any(effect.kind.stage & TWO_MASS for effect in effects):
+            self.constants  # refuses shares of the motors' inertia that no arm can have
+
+    @property
+    def joints(self) -> int:
+        """Number of joints that move: those of its voltages and positions."""
+        return 3
+
+    @property
+    def position_unit(self) -> str:
+        """Unit of its positions: rad, or m."""
+        return "rad"
+
+    @property
+    def kernel_effects(self) -> tuple[Effect, ...]:
+        """The effects on the joints of the kernel, which always has three."""
+        return self.effects
+
+    def with_effects(self, effects: Iterable[Effect]) -> Plant:
+        """The plant with further effects; raises ParameterError where one stands twice."""
+        return replace(self, effects=self.effects + tuple(effects))
+
+    @classmethod
+    def of(cls, name_or_path: str = "bejczy", effects: Iterable[Effect] = (), torque_form: str = "physical") -> Plant:
+        """Plant from a published set or a parameter file; raises ParameterError."""
+        return cls(load_parameters(name_or_path), tuple(effects), torque_form)
+
+    @cached_property
+    def loaded_arm(self) -> ArmParameters:
+        """The arm with its loads attached."""
+        arm = self.arm
+        for effect in self.effects:
+            if effect.kind.load is not None:
+                arm = effect.kind.load(arm, effect.values)
+        return arm
+
+    @cached_property
+    def torque_per_ampere(self) -> tuple[float, float, float]:
+        """Torque at the joints per motor current, kT [N.m/A]; equation 5.2."""
+        return tuple(
+            m.torque_constant * (m.gear_ratio if self.torque_form == "physical" else 1.0) for m in self.arm.motors
+        )
+
+    @cached_property
+    def viscous_friction(self) -> tuple[float, float, float]:
+        """Viscous friction at the joints, H [N.m.s/rad]."""
+        found = {e.joint: e.values["coefficient"] for e in self.effects if e.kind is VISCOUS}
+        return tuple(found.get(joint, 0.0) for joint in (1, 2, 3))
+
+    @cached_property
+    def constants(self) -> KernelConstants:
+        """The kernel's arguments for this plant."""
+        drive = []
+        for motor, kT, H in zip(self.arm.motors, self.torque_per_ampere, self.viscous_friction):
+            drive += [
+                1.0 / motor.inductance if motor.inductance else 0.0,
+                float(motor.resistance),
+                float(motor.back_emf * motor.gear_ratio),
+                float(kT),
+                H,
+            ]
+        effects = tuple(e for e in self.kernel_effects if not vanishes(e))
+        active, arm, table = active_stages(effects), self.loaded_arm, pack(effects)
+        if active & TWO_MASS:
+            trains = DriveTrains(arm, effects, drive)
+            arm, table = trains.link_arm, table + trains.table
+        for effect in effects:
+            if effect.kind is BASE_TILT:
+                fill_arm(table, BASE_TILT, tilt_constants(arm, **effect.values))
+        body = Lumps(*(float(value) for value in lumped_constants(arm)))
+        if not all(motor.inductance for motor in self.arm.motors):
+            active |= ALGEBRAIC
+        return KernelConstants(body, tuple(drive), active, table)
+
+    def to_mapping(self) -> dict:
+        """Plain values of a model file; every digit is kept."""
+        return {
+            "format": MODEL_FORMAT,
+            "version": __version__,
+            "torque_form": self.torque_form,
+            "parameters": to_mapping(self.arm),
+            "effects": [effect_mapping(effect) for effect in self.effects],
+        }
+
+    @classmethod
+    def from_mapping(cls, mapping: Mapping, where: str | None = None) -> Plant:
+        """The inverse of `to_mapping`.
+
+        Raises
+        ------
+        ModelError : a format, effect or key that this version does not know.
+        ParameterError : a number that is not usable.
+        """
+        if not isinstance(mapping, Mapping) or "format" not in mapping:
+            raise ModelError("no model", where=where, expected=f"a mapping with format: {MODEL_FORMAT}")
+        if mapping["format"] != MODEL_FORMAT:
+            raise ModelError(
+                f"format '{mapping['format']}'",
+                where=where,
+                expected=f"'{MODEL_FORMAT}', which version {__version__} reads",
+            )
+        if "mechanism" in mapping:
+            from puma_sim_core.plant.one_joint import OneJointPlant
+
+            return OneJointPlant.from_mapping(mapping, where)
+        known = ("format", "version", "torque_form", "parameters", "effects")
+        for key in mapping:
+            if key not in known:
+                raise ModelError(f"unknown key '{key}'", where=where, expected=f"one of {', '.join(known)}")
+        if "parameters" not in mapping:
+            raise ModelError("'parameters' is missing", where=where, expected="the name of a set, or its numbers")
+        source = mapping["parameters"]
+        arm = (
+            load_parameters(source)
+            if isinstance(source, str)
+            else from_mapping(source, where and f"{where}: parameters")
+        )
+        return made_of_model(
+            lambda: cls(arm, effects_of_mapping(mapping), mapping.get("torque_form", "physical")), where
+        )
+
+
+def made_of_model(make: Callable[[], Plant], where: str | None) -> Plant:
+    """What `make` gives, with its ParameterError as a ModelError that names the file."""
+    try:
+        return make()
+    except ParameterError as error:
+        raise ModelError(
+            error.what, where=" ".join(filter(None, (where, error.where))), expected=error.expected
+        ) from None
+
+
+def effects_of_mapping(mapping: Mapping, unit_of: Callable[[str], str] = str) -> tuple[Effect, ...]:
+    """The effects of a model file; unit_of: the unit there for that of a kind's parameter.
+
+    Raises
+    ------
+    ParameterError : names the effect and what is wrong with it.
+    """
+    effects = mapping.get("effects") or []
+    if not isinstance(effects, list):
+        raise ParameterError(f"effects: {effects!r}"[:80], expected="a list")
+    return tuple(_effect_of(entry, unit_of) for entry in effects)
+
+
+def effect_mapping(effect: Effect, unit_of: Callable[[str], str] = str) -> dict:
+    """The entry of an effect in a model file; unit_of as in `effects_of_mapping`."""
+    units = {p.name: unit_of(p.unit) for p in effect.kind.parameters}
+    joint = {} if effect.joint is None else {"joint": effect.joint}
+    return {
+        "name": effect.kind.name,
+        **joint,
+        **{name: {"value": value, "unit": units[name]} for name, value in effect.values.items()},
+    }
+
+
+def _effect_of(entry, unit_of) -> Effect:
+    """The effect of one entry of a model file."""
+    if not isinstance(entry, Mapping) or "name" not in entry:
+        raise ParameterError(
+            f"{entry!r}", where="effects", expected="{name: ..., joint: ..., PARAMETER: {value, unit}}"
+        )
+    name = entry["name"]
+    if not isinstance(name, str) or name not in KINDS:
+        raise ParameterError(f"unknown effect '{name}'", where="effects", expected=f"one of {', '.join(KINDS)}")
+    units = {p.name: unit_of(p.unit) for p in KINDS[name].parameters}
+    values = {}
+    for key, value in entry.items():
+        if key in ("name", "joint"):
+            continue
+        if isinstance(value, Mapping):
+            if set(value) != {"value", "unit"} or value["unit"] != units.get(key, value["unit"]):
+                raise ParameterError(
+                    f"{key}: {dict(value)!r}",
+                    where=f"effect {name}",
+                    expected=f"{{value: ..., unit: {units.get(key)}}}",
+                )
+            value = value["value"]
+        values[key] = value
+    return Effect(KINDS[name], entry.get("joint"), values)
+
+
+def load_model(path: str | os.PathLike) -> Plant:
+    """Read a model file; raises ModelError or ParameterError naming the file and the key."""
+    return Plant.from_mapping(read_yaml(path, ModelError), str(path))
+
+
+def dump_model(plant: Plant, path: str | os.PathLike) -> None:
+    """Write a model file that loads to an equal plant; complete or not at all."""
+    write_yaml(plant.to_mapping(), path, ModelError)

@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""One pass over the records of an MCAP file, that of a killed recorder included.
+
+The reader of the `mcap` package needs the index at the end of the file, or takes a cut record
+for a whole one. This pass checks each length against what is there, and says where it stopped.
+Format: the MCAP specification, version 0.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO, NamedTuple
+
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, Schema, Statistics
+from mcap.stream_reader import get_chunk_data_stream
+
+from puma_sim_core.errors import BagError
+
+MAGIC = b"\x89MCAP0\r\n"
+_HEAD = struct.Struct("<BQ")  # opcode, length of what follows
+_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+_CHUNK = struct.Struct("<QQQII")  # first and last time, size, checksum, length of compression
+_FOOTER = struct.Struct("<BQQQI")
+
+
+class RawMessage(NamedTuple):
+    """A message as it stands in the bag: log time [ns], CDR bytes."""
+
+    topic: str
+    type: str
+    time_ns: int
+    data: bytes
+
+
+class _Fault(Exception):
+    """The file cannot be read on from here; the text says what is wrong."""
+
+
+class Scan:
+    """Reads the messages of an MCAP file in the order in which they were written.
+
+    ``topics`` (name to type) and ``counts`` (name to number of messages) fill up during
+    `messages`. ``complete`` says whether the file ends with its index and footer.
+
+    Parameters
+    ----------
+    expected : number of messages by topic, if known from elsewhere; it is checked at the end.
+
+    Raises `BagError` if the file cannot be opened or is no MCAP file.
+    """
+
+    def __init__(self, path: Path, expected: dict[str, int] | None = None):
+        self.path = path
+        self.expected = expected
+        self.topics: dict[str, str] = {}
+        self.counts: Counter[str] = Counter()
+        self.fault: BagError | None = None
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, tuple[str, str]] = {}
+        self._statistics: Statistics | None = None
+        try:
+            self.size = path.stat().st_size
+            with open(path, "rb") as file:
+                magic = file.read(len(MAGIC))
+                self.complete = _ends_with_footer(file, self.size)
+        except OSError as error:
+            raise BagError(f"cannot be read ({error.strerror})", where=path, expected="an MCAP file") from error
+        if magic != MAGIC:
+            raise BagError("is not an MCAP file", where=path, expected=f"{MAGIC!r} at its start")
+
+    def messages(self, partial: bool = False) -> Iterator[RawMessage]:
+        """Messages in file order.
+
+        Where the file cannot be read on, `BagError` names the offset; with ``partial`` the
+        iteration ends there instead and keeps that error in ``fault``.
+        """
+        last = 0
+        try:
+            with open(self.path, "rb") as file:
+                for message in self._records(file):
+                    if not last <= message.time_ns < 2**63:
+                        raise BagError(
+                            f"a message at {message.time_ns} ns stands after one at {last} ns",
+                            where=f"{self.path}, topic {message.topic}",
+                            expected="messages in the order of their times",
+                        )
+                    last = message.time_ns
+                    yield message
+            self._check_counts()
+        except OSError as error:
+            raise BagError(f"cannot be read ({error.strerror})", where=self.path) from error
+        except BagError as error:
+            self.fault = error
+            if not partial:
+                raise
+
+    def _check_counts(self) -> None:
+        if self._statistics and self._statistics.message_count != self.counts.total():
+            raise BagError(
+                f"holds {self.counts.total()} messages",
+                where=self.path,
+                expected=f"the {self._statistics.message_count} of its own index",
+            )
+        if self.expected is None:
+            return
+        for topic in sorted(self.expected.keys() | self.topics.keys()):
+            if self.expected.get(topic) != self.counts[topic]:
+                raise BagError(
+                    f"the file holds {self.counts[topic]} messages",
+                    where=f"{self.path}, topic {topic}",
+                    expected=f"{self.expected.get(topic)}, as metadata.yaml says",
+                )
+
+    def _records(self, file: BinaryIO) -> Iterator[RawMessage]:
+        offset = file.seek(len(MAGIC))
+        try:
+            while True:
+                opcode, length = self._head(file, offset)
+                if opcode == Opcode.FOOTER:
+                    return
+                room = self.size - offset - _HEAD.size
+                if opcode == Opcode.CHUNK:
+                    yield from self._chunk(file.read(min(length, room)), length > room)
+                if length > room:
+                    raise _Fault(f"the file ends inside a record of {length} bytes")
+                if opcode == Opcode.MESSAGE:
+                    yield self._message(file.read(length))
+                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS):
+                    self._describe(opcode, file.read(length))
+                offset = file.seek(offset + _HEAD.size + length)
+        except _Fault as fault:
+            raise BagError(str(fault), where=f"{self.path}, offset {offset}", expected="a whole MCAP record") from None
+
+    def _head(self, file: BinaryIO, offset: int) -> tuple[int, int]:
+        head = file.read(_HEAD.size)
+        if len(head) < _HEAD.size:
+            raise _Fault("the file ends without a footer")
+        opcode, length = _HEAD.unpack(head)
+        if opcode == 0:
+            raise _Fault("there is no record, but zeros")
+        return opcode, length
+
+    def _chunk(self, body: bytes, cut: bool) -> Iterator[RawMessage]:
+        start = _CHUNK.size
+        if len(body) < start:
+            raise _Fault("the file ends inside the head of a chunk")
+        *_, size, checksum, name_length = _CHUNK.unpack_from(body)
+        compression = body[start : start + name_length]
+        start += name_length + 8
+        records = body[start:]
+        if not cut:
+            try:
+                # The library checks the sum and knows the compressions.
+                records = get_chunk_data_stream(
+                    Chunk(compression.decode(), records, 0, 0, checksum, size), validate_crc=True
+                )[0].read(size)
+            except Exception as error:  # each decompressor raises its own kinds
+                raise _Fault(f"the chunk is damaged ({error})") from error
+        elif compression:
+            raise _Fault("the file ends inside a compressed chunk")
+        offset = 0
+        while offset + _HEAD.size <= len(records):
+            opcode, length = _HEAD.unpack_from(records, offset)
+            offset += _HEAD.size
+            if offset + length > len(records):
+                break
+            if opcode == Opcode.MESSAGE:
+                yield self._message(records[offset : offset + length])
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                self._describe(opcode, records[offset : offset + length])
+            offset += length
+        if not cut and offset != len(records):
+            raise _Fault("the last record of the chunk is longer than the chunk")
+
+    def _describe(self, opcode: int, body: bytes) -> None:
+        stream = ReadDataStream(io.BytesIO(body))
+        try:
+            if opcode == Opcode.SCHEMA:
+                schema = Schema.read(stream)
+                self._schemas[schema.id] = schema
+            elif opcode == Opcode.CHANNEL:
+                channel = Channel.read(stream)
+                schema = self._schemas.get(channel.schema_id)
+                known = (channel.topic, schema.name if schema else "")
+                if channel.message_encoding != "cdr":
+                    known = (channel.topic, f"{known[1]} as {channel.message_encoding}")
+                self._channels[channel.id] = known
+                self.topics[known[0]] = known[1]
+            else:
+                self._statistics = Statistics.read(stream)
+        except Exception as error:  # the library raises several kinds on arbitrary bytes
+            name = Opcode(opcode).name.lower()
+            raise _Fault(f"the {name} record is damaged ({type(error).__name__})") from error
+
+    def _message(self, body: bytes) -> RawMessage:
+        if len(body) < _MESSAGE.size:
+            raise _Fault(f"the message record has {len(body)} bytes")
+        number, _, time_ns, _ = _MESSAGE.unpack_from(body)
+        channel = self._channels.get(number)
+        if channel is None:
+            raise _Fault(f"the message is of channel {number}, which was not described before")
+        self.counts[channel[0]] += 1
+        return RawMessage(*channel, time_ns, body[_MESSAGE.size :])
+
+
+def _ends_with_footer(file: BinaryIO, size: int) -> bool:
+    tail = _FOOTER.size + len(MAGIC)
+    if size < len(MAGIC) + tail:
+        return False
+    file.seek(size - tail)
+    data = file.read(tail)
+    opcode, length, summary_start, _, _ = _FOOTER.unpack_from(data)
+    return (
+        data.endswith(MAGIC) and opcode == Opcode.FOOTER and length == _FOOTER.size - _HEAD.size and summary_start > 0
+    )

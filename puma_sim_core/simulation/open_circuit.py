@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""Drives that are switched off for some rows: no current flows, and the joint swings freely."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from puma_sim_core.errors import ParameterError
+
+
+def enabled(enable, rows: int, joints: int) -> np.ndarray:
+    """(n, 3) whether the drives of the kernel's joints are on.
+
+    enable : (n,) for all joints or (n, J), on where it is not 0; hidden joints are on.
+
+    Raises
+    ------
+    ParameterError : another shape, or values that are not finite.
+    """
+    values = np.asarray(enable, dtype=float)
+    if values.shape == (rows,):
+        values = np.repeat(values[:, None], joints, axis=1)
+    if values.shape != (rows, joints) or not np.isfinite(values).all():
+        raise ParameterError(f"enable of shape {values.shape}", expected=f"({rows},) or ({rows}, {joints}), finite")
+    on = np.ones((rows, 3), dtype=bool)
+    on[:, 3 - joints :] = values != 0.0
+    return on
+
+
+def stretches(on: np.ndarray) -> Iterator[tuple[int, int]]:
+    """(first row, row after the last) of the stretches in which nothing is switched."""
+    edges = np.flatnonzero((on[1:] != on[:-1]).any(axis=1)) + 1
+    bounds = [0, *edges.tolist(), len(on)]
+    return zip(bounds[:-1], bounds[1:])
+
+
+def opened(drive: tuple[float, ...], on) -> tuple[float, ...]:
+    """The kernel's constants of the drives with those that are off cut from their joints: neither
+    torque nor back-EMF."""
+    numbers = list(drive)
+    for j in range(3):
+        if not on[j]:
+            numbers[5 * j + 2] = numbers[5 * j + 3] = 0.0
+    return tuple(numbers)

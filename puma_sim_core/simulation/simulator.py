@@ -1,0 +1,518 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""The simulator of chapter 6: constraints, limits, reset, step and run.
+
+Inputs are motor voltages that are piecewise constant, or setpoints of the digital servo; outputs
+are positions, velocities, currents and, on demand, accelerations, sampled synchronously.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isfinite
+
+import numpy as np
+
+from puma_sim_core.dynamics.rigid import LOCKED
+from puma_sim_core.dynamics.runs import ROW, WIDE, WIDE_ROW, servo_memory
+from puma_sim_core.dynamics.sensed import settled_positions
+from puma_sim_core.dynamics.servo import ServoConfig
+from puma_sim_core.dynamics.two_mass_runs import accelerations, links_at, run_servo, run_voltages
+from puma_sim_core.effects import DELAYED, SENSED
+from puma_sim_core.effects.base import TWO_MASS
+from puma_sim_core.errors import LimitError, NonFiniteStateError, ParameterError
+from puma_sim_core.jit import BACKEND
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.recording.recording import Recording
+from puma_sim_core.simulation.delay import NO_DELAY, Past, SampledDelay, input_delay
+from puma_sim_core.simulation.feedback import Controller, ControlLoop, samples_per_period
+from puma_sim_core.simulation.open_circuit import enabled, opened, stretches
+from puma_sim_core.simulation.run_inputs import (
+    check_step,
+    guarded,
+    native,
+    rows_of,
+    setpoint_table,
+    step_counts,
+    table,
+    three,
+    widened,
+)
+
+#: one servo period [s], the natural step of integration (section 7.6)
+SERVO_PERIOD = 0.028 / 30.0
+
+CONSTRAINTS = ("free", "hold", "velocity", "acceleration")
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """How a joint moves (section 6.1, a to d).
+
+    kind : "free", "hold" (constant position), "velocity" (constant velocity) or "acceleration"
+        (constant acceleration). value : the velocity [rad/s], None for the initial one, or the
+        acceleration [rad/s^2].
+
+    A joint that is not free has its row and column taken out of the equations; what it exerts on
+    the others by its motion stays. (Section 6.2 overwrites its state after a free step, which
+    leaves the others with a wrong inertia.)
+
+    Raises
+    ------
+    ParameterError : unknown kind, or a value where none belongs or one is missing.
+    """
+
+    kind: str = "free"
+    value: float | None = None
+
+    def __post_init__(self):
+        where = f"constraint '{self.kind}'"
+        if self.kind not in CONSTRAINTS:
+            raise ParameterError("unknown", where=where, expected=" or ".join(CONSTRAINTS))
+        if self.kind in ("free", "hold") and self.value is not None:
+            raise ParameterError(f"value {self.value}", where=where, expected="no value")
+        if self.kind == "acceleration" and self.value is None:
+            raise ParameterError("no value", where=where, expected="acceleration:RAD_PER_S2")
+        if self.value is not None:
+            if isinstance(self.value, (bool, str)) or not isfinite(self.value):
+                raise ParameterError(f"value {self.value}", where=where, expected="a finite number")
+            # a whole number here would be compiled as another kernel
+            object.__setattr__(self, "value", float(self.value))
+
+    @classmethod
+    def parse(cls, text: str) -> Constraint:
+        """From ``free``, ``hold``, ``velocity``, ``velocity:0.5`` or ``acceleration:1``."""
+        kind, colon, value = text.partition(":")
+        try:
+            return cls(kind, float(value) if colon else None)
+        except ValueError as error:
+            if isinstance(error, ParameterError):
+                raise
+            raise ParameterError(f"value '{value}'", where=f"constraint '{kind}'", expected="a number") from None
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Ranges and greatest magnitudes that a run is checked against, at its samples.
+
+    position ((low, high) x 3) [rad], velocity (3) [rad/s], acceleration (3) [rad/s^2]; None
+    leaves a quantity unchecked; unit: "m" in place of "rad" for a slide. Limits stop nothing: a
+    stop that acts is the effect `soft_stop`.
+    """
+
+    position: tuple[tuple[float, float], ...] | None = None
+    velocity: tuple[float, float, float] | None = None
+    acceleration: tuple[float, float, float] | None = None
+    unit: str = "rad"
+
+    def first_exceeded(self, recording: Recording) -> list[str]:
+        """One sentence for each joint and quantity that leaves its limits: where and by what."""
+        ranges = {
+            "position": (self.position, self.unit),
+            "velocity": (_symmetric(self.velocity), f"{self.unit}/s"),
+            "acceleration": (_symmetric(self.acceleration), f"{self.unit}/s^2"),
+        }
+        found = []
+        for name, (pairs, unit) in ranges.items():
+            values = getattr(recording, name)
+            if pairs is None or values is None:
+                continue
+            for j, (low, high) in enumerate(pairs):
+                outside = np.flatnonzero((values[:, j] < low) | (values[:, j] > high))
+                if outside.size:
+                    r = int(outside[0])
+                    found.append(
+                        f"joint {j + 1}: {name} {values[r, j]:.7g} {unit} at "
+                        f"{recording.time[r]:.6g} s is outside {low:.4g} to {high:.4g}"
+                    )
+        return found
+
+
+def _symmetric(greatest):
+    return None if greatest is None else tuple((-g, g) for g in greatest)
+
+
+class Simulator:
+    """The arm, from a state on.
+
+    The state is the true one. The positions of a recording are what the sensors give, which is
+    the same unless the plant has effects of sensing; ``measured`` holds the present ones [rad].
+    Voltages of a recording are those asked for, before anything the amplifiers do to them.
+
+    Parameters
+    ----------
+    plant : the arm and its effects.
+    constraints : one `Constraint` a joint of the plant; free by default.
+    max_step : greatest step of integration [s]; rows that hold longer are divided evenly.
+    limits : what runs are checked against; none by default.
+    on_limit : "report" gathers sentences in `exceeded`, "error" raises LimitError after a run.
+
+    The state is taken by `reset` and moves on with each `step` and `run`. ``state`` is the tuple
+    (q1, q2, q3, qd1, qd2, qd3, i1, i2, i3) of the kernel's joints (a single joint is its third), a
+    triple below is a single number for a plant of one joint, ``bristles`` the deflections [rad] of
+    `presliding_friction`, ``links`` positions [rad] and velocities [rad/s] of the links, ``past``
+    the voltages that an `input_delay` still holds back, ``time`` the simulated time [s], at which
+    effects that change with time are taken. ``link_motion`` holds the links at the rows of the last
+    run, (n, 6), where they do not follow their motors (see `two_mass`), else None.
+
+    Raises
+    ------
+    ParameterError : a step above 8 ms, constraints of another length.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        *,
+        constraints: Sequence[Constraint] | None = None,
+        max_step: float = SERVO_PERIOD,
+        limits: Limits | None = None,
+        on_limit: str = "report",
+    ):
+        constraints = (Constraint(),) * plant.joints if constraints is None else constraints
+        if len(constraints) != plant.joints or not all(isinstance(c, Constraint) for c in constraints):
+            raise ParameterError(f"constraints {constraints!r}", expected="one Constraint a joint")
+        if on_limit not in ("report", "error"):
+            raise ParameterError(f"on_limit '{on_limit}'", expected="report or error")
+        self.plant = plant
+        self.constraints = (Constraint("hold"),) * (3 - plant.joints) + tuple(constraints)
+        self.max_step = check_step(max_step, "max_step")
+        self.limits = limits or Limits()
+        self.on_limit = on_limit
+        self.exceeded: list[str] = []
+        self.link_motion: np.ndarray | None = None
+        body, drive, active, table = plant.constants
+        if any(c.kind != "free" for c in self.constraints):
+            active |= LOCKED
+        lock = (
+            *(0.0 if c.kind == "free" else 1.0 for c in self.constraints),
+            *(c.value if c.kind == "acceleration" else 0.0 for c in self.constraints),
+        )
+        self._kernel = (body, drive, active, native(table), lock)
+        self._row = WIDE_ROW if active & WIDE else ROW
+        self.reset()
+
+    def reset(self, position=(0.0, 0.0, 0.0), velocity=None, current=(0.0, 0.0, 0.0), time: float = 0.0) -> None:
+        """Start from a state: true position [rad], velocity [rad/s], current [A] of the joints.
+
+        The velocity of a joint with a constant velocity of its own is that one. Sensors have
+        settled; of a delay the first voltage of the next run counts as asked for since ever.
+
+        Raises
+        ------
+        ParameterError : not three finite numbers, or a velocity that contradicts a constraint.
+        """
+        joints = self.plant.joints
+        position = widened(position, "position", joints)
+        current = widened(current, "current", joints)
+        given = None if velocity is None else widened(velocity, "velocity", joints)
+        start = list(given or (0.0, 0.0, 0.0))
+        for j, c in enumerate(self.constraints):
+            fixed = 0.0 if c.kind == "hold" else c.value if c.kind == "velocity" else None
+            if fixed is not None:
+                if given is not None and given[j] not in (0.0, fixed):
+                    raise ParameterError(
+                        f"initial velocity {given[j]} rad/s of joint {j + 1}",
+                        expected=f"{fixed} rad/s, as its constraint says",
+                    )
+                start[j] = fixed
+        self.state = (*position, *start, *current)
+        self.bristles = (0.0, 0.0, 0.0)
+        self.links = links_at(self.state, time, *self._kernel)
+        self.measured = settled_positions(position, self._kernel[3])
+        self.past = self._past()
+        self.time = float(time)
+
+    def remember(self, age, voltage) -> None:
+        """Tell an `input_delay` what was asked for before now.
+
+        age (k,) : falling [s]; voltage (k, 3) [V] or (k, 1): asked for from age[i] ago on, the
+        first one since ever. Without a delay it does nothing.
+        """
+        voltage = np.asarray(voltage, dtype=float)
+        padding = np.zeros((len(voltage), 3 - voltage.shape[1]))
+        self.past = self._past(age, np.hstack([padding, voltage]))
+
+    def _past(self, age=(), voltage=()) -> Past:
+        return Past(input_delay(self._kernel[2], self._kernel[3]), age, voltage)
+
+    def step(self, voltage, duration: float = SERVO_PERIOD) -> tuple[float, ...]:
+        """Hold three voltages [V] for a duration [s]; returns the new state.
+
+        Raises
+        ------
+        ParameterError : not three finite numbers, a duration that is not positive.
+        NonFiniteStateError : the state stopped being finite; the last finite one is kept.
+        """
+        if not isfinite(duration) or duration <= 0.0:
+            raise ParameterError(f"duration {duration!r} s", expected="a positive number")
+        volts = widened(voltage, "voltage", self.plant.joints)
+        self._advance(np.array([volts]), np.array([self.time, self.time + duration]), np.array([float(duration)]))
+        self.time += duration
+        return self.state
+
+    def run(self, time, voltage, *, acceleration: bool = False, enable=None) -> Recording:
+        """Run through rows of voltages from the present state.
+
+        time : (n,) [s], increasing; voltage : (n, 3) [V], row r held until time[r + 1]; the last
+        row is held by nobody. acceleration : record it too [rad/s^2]. enable : (n,) or (n, 3), 0
+        where a drive is off and no current flows (without it the drives are on).
+
+        Returns
+        -------
+        Recording with the states at the same n times.
+
+        Raises
+        ------
+        ParameterError : shapes, values that are not finite, times that do not increase.
+        NonFiniteStateError : the state stopped being finite; names the row, keeps the state.
+        LimitError : a limit was exceeded and on_limit is "error".
+        """
+        time, voltage = table(time, voltage, "voltage", self.plant.joints)
+        try:
+            if enable is None:
+                past = self.past
+                out = self._advance(voltage[:-1], time, np.diff(time))
+            else:
+                past = self.past
+                out = self._switched(voltage, time, enable)
+        except NonFiniteStateError as error:
+            self.time = float(time[error.step - 1])
+            raise
+        self.time = float(time[-1])
+        return self._recorded(time, voltage, out, acceleration, past)
+
+    def run_servo(
+        self,
+        setpoint,
+        servo: ServoConfig = ServoConfig(),
+        *,
+        period: float = 0.028,
+        samples: int = 30,
+        voltage_limit: float = 40.0,
+        acceleration: bool = False,
+        held_voltage=(0.0, 0.0, 0.0),
+    ) -> Recording:
+        """Run under the digital servo from the present state.
+
+        setpoint : (n, 3) [rad], each held for one period [s] of `samples` servo samples, which
+        are integrated in steps of at most max_step; voltage_limit : at the motors [V];
+        held_voltage : what was asked for before the first sample [V], for a servo with a delay and,
+        where nothing ran before, an `input_delay`.
+
+        Returns
+        -------
+        Recording of n * samples + 1 rows, one a servo sample; its last voltage is held by nobody.
+
+        Raises
+        ------
+        ParameterError, NonFiniteStateError, LimitError : as `run`.
+        """
+        setpoint = self._closed(setpoint, period, voltage_limit)
+        held_voltage = three(held_voltage, "held_voltage")
+        if isinstance(samples, bool) or not isinstance(samples, int) or samples < 1:
+            raise ParameterError(f"samples {samples!r}", expected="a whole number of at least 1")
+        h = period / samples
+        steps = int(step_counts(np.array([h]), self.max_step)[0])
+        servo_table = native(servo.table(h, voltage_limit, [m.gear_ratio for m in self.plant.arm.motors]))
+        memory = native(
+            [*servo_memory(tuple(setpoint[0].tolist()), self._seen(), servo_table), *servo.held_back(held_voltage)]
+        )
+        n = len(setpoint) * samples
+        out, volts = np.empty((n + 1, self._row)), np.zeros((n + 1, 3))
+        late, past = self._late(h, held_voltage), self.past
+        self._finish(
+            guarded(
+                out,
+                run_servo,
+                self.state,
+                self._beyond(),
+                self.measured,
+                self.time,
+                rows_of(setpoint),
+                samples,
+                steps,
+                h / steps,
+                servo_table,
+                memory,
+                NO_DELAY if late is None else late.table,
+                *self._kernel,
+                out,
+                volts,
+            ),
+            out,
+        )
+        return self._sampled(setpoint, samples, h, out, volts, acceleration, late, past)
+
+    def run_controller(
+        self,
+        controller: Controller,
+        setpoint,
+        *,
+        period: float = 0.028,
+        voltage_limit: float = 40.0,
+        chain: ServoConfig = ServoConfig(),
+        acceleration: bool = False,
+    ) -> Recording:
+        """Run under any controller (see `closed_loop`) from the present state; it is reset first.
+
+        setpoint : (n, 3) [rad], each held for one period [s], a whole number of the controller's
+        own; voltage_limit : at the motors [V]; chain : encoder, converter, amplifier and delay
+        around the controller, ideal by default.
+
+        Returns
+        -------
+        Recording of a row a sample, as `run_servo`.
+
+        Raises
+        ------
+        ParameterError : also for a rate that does not fit, or other than three voltages.
+        NonFiniteStateError, LimitError : as `run`.
+        """
+        setpoint = self._closed(setpoint, period, voltage_limit)
+        samples = samples_per_period(controller, period)
+        h = period / samples
+        loop = ControlLoop(
+            controller,
+            chain,
+            h,
+            int(step_counts(np.array([h]), self.max_step)[0]),
+            voltage_limit,
+            [m.gear_ratio for m in self.plant.arm.motors],
+            self._kernel,
+        )
+        loop.late, past = self._late(h, (0.0, 0.0, 0.0)), self.past
+        n = len(setpoint) * samples
+        out, volts = np.empty((n + 1, self._row)), np.zeros((n + 1, 3))
+        self._finish(loop.run(self.state, self._beyond(), self.measured, setpoint, samples, self.time, out, volts), out)
+        return self._sampled(setpoint, samples, h, out, volts, acceleration, loop.late, past)
+
+    def _closed(self, setpoint, period, voltage_limit) -> np.ndarray:
+        if self.plant.joints != 3:
+            raise ParameterError(
+                f"a plant of {self.plant.joints} joint",
+                where="closed loop",
+                expected="an arm of three: servo and controllers have its gains",
+            )
+        return setpoint_table(setpoint, period, voltage_limit)
+
+    def _beyond(self) -> tuple[float, ...]:
+        """Bristles and links, as the kernel's z."""
+        return (*self.bristles, *self.links)
+
+    def _seen(self) -> tuple[float, ...]:
+        """Measured positions [rad]: the true ones where nothing is between."""
+        return self.measured if self._kernel[2] & SENSED else self.state[:3]
+
+    def _late(self, h: float, held_voltage) -> SampledDelay | None:
+        """The delay of a loop with samples each h [s], filled with what ran before."""
+        if not self._kernel[2] & DELAYED:
+            return None
+        late = SampledDelay(self.past.delay, h, self.max_step)
+        late.hold(held_voltage, self.past)
+        return late
+
+    def _sampled(self, setpoint, samples, h, out, volts, acceleration, late, past) -> Recording:
+        """The recording of a closed loop with samples each h; volts (n, 3), the last row free."""
+        if late is not None:
+            if not len(past.age):
+                past = Past(past.delay, [0.0], [late.first])
+            self.past = late.past(past.delay)
+        volts[-1] = volts[-2]
+        time = self.time + h * np.arange(len(out))
+        self.time = float(time[-1])
+        held = np.repeat(setpoint, samples, axis=0)
+        return self._recorded(time, volts, out, acceleration, past, setpoint=np.vstack([held, held[-1:]]))
+
+    def _advance(self, voltage: np.ndarray, time: np.ndarray, duration: np.ndarray) -> np.ndarray:
+        """Rows of what the kernel stores, one more than there are of voltage; time: their edges."""
+        rows = None
+        if self._kernel[2] & DELAYED:
+            (time, voltage, rows), past = self.past.arriving(time, voltage)
+            duration = np.diff(time)
+        counts = step_counts(duration, self.max_step)
+        out = np.empty((len(duration) + 1, self._row))
+        try:
+            self._finish(
+                guarded(
+                    out,
+                    run_voltages,
+                    self.state,
+                    self._beyond(),
+                    self.measured,
+                    rows_of(voltage),
+                    rows_of(time[:-1]),
+                    counts if BACKEND == "numba" else counts.tolist(),
+                    rows_of(duration / counts),
+                    *self._kernel,
+                    out,
+                ),
+                out,
+            )
+        except NonFiniteStateError as error:
+            if rows is None:
+                raise
+            raise NonFiniteStateError(int(np.searchsorted(rows, error.step))) from None
+        if rows is None:
+            return out
+        self.past = past
+        return out[rows]
+
+    def _switched(self, voltage: np.ndarray, time: np.ndarray, enable) -> np.ndarray:
+        """`_advance` with drives that are off in some rows; voltage has a row more, unused."""
+        on = enabled(enable, len(voltage), self.plant.joints)[:-1]
+        if not len(on):
+            return self._advance(voltage[:-1], time, np.diff(time))
+        voltage = np.where(on, voltage[:-1], 0.0)
+        kernel, parts = self._kernel, []
+        try:
+            for first, after in stretches(on):
+                self._kernel = (kernel[0], opened(kernel[1], on[first]), *kernel[2:])
+                current = np.where(on[first], self.state[6:9], 0.0).tolist()
+                self.state = (*self.state[:6], *current)
+                try:
+                    edges = time[first : after + 1]
+                    out = self._advance(voltage[first:after], edges, np.diff(edges))
+                except NonFiniteStateError as error:
+                    raise NonFiniteStateError(first + error.step) from None
+                out[:, 6:9] *= on[first]
+                # the row that ends a stretch is the first of the next
+                parts.append(out if after == len(on) else out[:-1])
+        finally:
+            self._kernel = kernel
+        return np.concatenate(parts)
+
+    def _finish(self, bad_row: int, out: np.ndarray) -> None:
+        """Take over the last finite state of a run, and complain where it was cut short."""
+        last = len(out) - 1 if bad_row < 0 else bad_row - 1
+        row = tuple(out[last].tolist())
+        self.state, self.bristles = row[:9], row[9:12]
+        self.measured, self.links = (row[12:15], row[15:21]) if len(row) > ROW else (row[:3], row[:6])
+        if bad_row >= 0:
+            raise NonFiniteStateError(bad_row)
+
+    def _recorded(self, time, voltage, out, acceleration, past, setpoint=None) -> Recording:
+        result = None
+        if acceleration or self.limits.acceleration is not None:
+            result, acting = np.empty((len(out), 3)), voltage
+            if self._kernel[2] & DELAYED:
+                # a row longer, so that something arrives at the last one too
+                pieces, _ = past.arriving(np.append(time, time[-1] + 1.0), voltage)
+                acting = pieces.voltage[pieces.row[:-1]]
+            accelerations(out, rows_of(acting), rows_of(time), *self._kernel, result)
+        self.link_motion = out[:, ROW + 3 :] if self._kernel[2] & TWO_MASS else None
+        hidden, seen = 3 - self.plant.joints, ROW if self._kernel[2] & SENSED else 0
+        recording = Recording(
+            time=time,
+            voltage=voltage[:, hidden:],
+            position=out[:, seen + hidden : seen + 3],
+            velocity=out[:, 3 + hidden : 6],
+            current=out[:, 6 + hidden : 9],
+            setpoint=setpoint,
+            acceleration=None if result is None else result[:, hidden:],
+        )
+        self.exceeded = self.limits.first_exceeded(recording)
+        if self.exceeded and self.on_limit == "error":
+            raise LimitError(self.exceeded[0], expected="a run within its limits")
+        return recording

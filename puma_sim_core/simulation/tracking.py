@@ -1,0 +1,231 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""The model led along a measured motion: innovations of an observer.
+
+Each row the model predicts the measured positions of the next one; what they are away from the
+prediction, the innovation, moves the model's state by a constant gain. With the gain of a steady
+Kalman filter the innovations of a true model are independent of one another and of all voltages
+before, also where feedback made those voltages out of the measured positions.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from puma_sim_core.dynamics.runs import DELAYED, SENSED, TWO_MASS, advance, is_finite, terminal_voltage
+from puma_sim_core.dynamics.two_mass_runs import train_advance
+from puma_sim_core.effects import CURRENT_LIMIT, DRY, WIDTH, slot
+from puma_sim_core.effects.amplifier import CURRENT_LIMITER
+from puma_sim_core.errors import NonFiniteStateError, ParameterError
+from puma_sim_core.jit import BACKEND, compiled, merged
+from puma_sim_core.simulation.open_circuit import enabled
+from puma_sim_core.simulation.run_inputs import native, rows_of, step_counts
+from puma_sim_core.simulation.simulator import Simulator
+
+_LIMIT = slot(CURRENT_LIMITER)
+#: share of its limit from which a current counts as held by it
+_HELD = 0.999999
+
+
+@merged
+def tracked_rows(
+    advance, x, z, m, volts, on, times, counts, steps, target, corrected, gain, body, drive, active, p, lock, out
+):
+    """Innovations of each row, with a function like `runs.advance`.
+
+    on (k, 3): 0.0 where a drive is cut off; target (k): row of `out` whose first three numbers are
+    the positions measured at the end of the row, -1 where none are; they are replaced by the
+    innovations, and the six numbers behind them by the positions and velocities that the model
+    predicts there. corrected : for each row of `out`, whether its innovation moves the state.
+    gain : nine numbers, joint by joint for position, velocity and current. Returns the first row
+    whose state is not finite, or -1.
+    """
+    for r in range(len(counts)):
+        a, b, c = on[r][0], on[r][1], on[r][2]
+        now = (
+            drive[0],
+            drive[1],
+            drive[2] * a,
+            drive[3] * a,
+            drive[4],
+            drive[5],
+            drive[6],
+            drive[7] * b,
+            drive[8] * b,
+            drive[9],
+            drive[10],
+            drive[11],
+            drive[12] * c,
+            drive[13] * c,
+            drive[14],
+        )
+        v = (
+            a * terminal_voltage(0, volts[r][0], p),
+            b * terminal_voltage(1, volts[r][1], p),
+            c * terminal_voltage(2, volts[r][2], p),
+        )
+        x, z, m = advance(x, z, m, v, times[r], steps[r], counts[r], body, now, active, p, lock)
+        if not is_finite(x):
+            return r
+        k = target[r]
+        if k < 0:
+            continue
+        e1 = out[k, 0] - (m[0] if active & SENSED else x[0])
+        e2 = out[k, 1] - (m[1] if active & SENSED else x[1])
+        e3 = out[k, 2] - (m[2] if active & SENSED else x[2])
+        out[k, 0] = e1
+        out[k, 1] = e2
+        out[k, 2] = e3
+        for j in range(6):
+            out[k, 3 + j] = x[j]
+        if not corrected[k]:
+            continue
+        # a joint that sticks is moved, and stays stuck
+        d1 = 0.0 if active & DRY and x[3] == 0.0 else gain[1] * e1
+        d2 = 0.0 if active & DRY and x[4] == 0.0 else gain[4] * e2
+        d3 = 0.0 if active & DRY and x[5] == 0.0 else gain[7] * e3
+        # and a current that is held at its limit stays there: moved, it could only fall
+        if active & CURRENT_LIMIT:
+            a = 0.0 if abs(x[6]) >= _HELD * p[_LIMIT] else a
+            b = 0.0 if abs(x[7]) >= _HELD * p[WIDTH + _LIMIT] else b
+            c = 0.0 if abs(x[8]) >= _HELD * p[2 * WIDTH + _LIMIT] else c
+        x = (
+            x[0] + gain[0] * e1,
+            x[1] + gain[3] * e2,
+            x[2] + gain[6] * e3,
+            x[3] + d1,
+            x[4] + d2,
+            x[5] + d3,
+            x[6] + a * gain[2] * e1,
+            x[7] + b * gain[5] * e2,
+            x[8] + c * gain[8] * e3,
+        )
+        if active & SENSED:
+            m = (m[0] + gain[0] * e1, m[1] + gain[3] * e2, m[2] + gain[6] * e3)
+        if active & TWO_MASS:
+            z = (
+                z[0],
+                z[1],
+                z[2],
+                z[3] + gain[0] * e1,
+                z[4] + gain[3] * e2,
+                z[5] + gain[6] * e3,
+                z[6] + d1,
+                z[7] + d2,
+                z[8] + d3,
+            )
+    return -1
+
+
+@compiled
+def _tracked(x, z, m, volts, on, times, counts, steps, target, corrected, gain, body, drive, active, p, lock, out):
+    return tracked_rows(
+        advance, x, z, m, volts, on, times, counts, steps, target, corrected, gain, body, drive, active, p, lock, out
+    )
+
+
+@compiled
+def _tracked_trains(
+    x, z, m, volts, on, times, counts, steps, target, corrected, gain, body, drive, active, p, lock, out
+):
+    return tracked_rows(
+        train_advance,
+        x,
+        z,
+        m,
+        volts,
+        on,
+        times,
+        counts,
+        steps,
+        target,
+        corrected,
+        gain,
+        body,
+        drive,
+        active,
+        p,
+        lock,
+        out,
+    )
+
+
+class Tracked(NamedTuple):
+    """Innovations [rad], predicted positions [rad] and velocities [rad/s], (n - 1, J) each."""
+
+    innovation: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+
+
+def innovations(simulator: Simulator, time, voltage, measured, gain, enable=None, corrected=None) -> Tracked:
+    """Innovations of a model from its present state on.
+
+    simulator : at time[0], its state is used up; time (n,) [s]; voltage (n, J) [V], row r held
+    until time[r + 1]; measured (n, J) positions [rad]; gain (J, 3): of position [1], velocity
+    [1/s] and current [A/rad] for an innovation of a joint; enable (n, J), 0 where a drive is off;
+    corrected (n - 1,): whether the innovation of a row moves the state, None: each does. Where it
+    does not the model runs in open loop, and innovations are its errors.
+
+    Returns
+    -------
+    (n - 1, J) measured less predicted positions [rad] at time[1:], and the positions [rad] and
+    velocities [rad/s] that the model predicts there, (n - 1, J) each.
+
+    Raises
+    ------
+    ParameterError : shapes that do not go together.
+    NonFiniteStateError : the state stopped being finite.
+    """
+    time = np.ascontiguousarray(time, dtype=float)
+    J, n = simulator.plant.joints, len(time)
+    voltage, measured, gain = (np.asarray(a, dtype=float) for a in (voltage, measured, gain))
+    if voltage.shape != (n, J) or measured.shape != (n, J) or gain.shape != (J, 3) or n < 2:
+        raise ParameterError(
+            f"time {time.shape}, voltage {voltage.shape}, measured {measured.shape}, gain {gain.shape}",
+            where="innovations",
+            expected=f"(n,), (n, {J}), (n, {J}), ({J}, 3)",
+        )
+    hidden = 3 - J
+
+    def wide(a):
+        return np.ascontiguousarray(np.pad(a, ((0, 0), (hidden, 0))))
+
+    volts, duration = wide(voltage[:-1]), np.diff(time)
+    out = np.zeros((n - 1, 9))
+    out[:, 0:3] = wide(measured[1:])
+    on = np.ones((n - 1, 3)) if enable is None else enabled(enable, n, J)[:-1].astype(float)
+    target, edges = np.arange(n - 1), time
+    _, _, active, _, _ = simulator._kernel
+    if active & DELAYED:
+        pieces, _ = simulator.past.arriving(time, volts)
+        edges, volts, duration = pieces.time, pieces.voltage, np.diff(pieces.time)
+        target = np.full(len(duration), -1)
+        target[pieces.row[1:] - 1] = np.arange(n - 1)
+        on = on[np.clip(np.searchsorted(pieces.row, np.arange(len(duration)), side="right") - 1, 0, n - 2)]
+    counts = step_counts(duration, simulator.max_step)
+    corrected = np.ones(n - 1, dtype=bool) if corrected is None else np.asarray(corrected, bool)
+    if corrected.shape != (n - 1,):
+        raise ParameterError(f"corrected {corrected.shape}", where="innovations", expected=f"({n - 1},)")
+    gains = native([0.0] * (3 * hidden) + gain.ravel().tolist())
+    run = _tracked_trains if active & TWO_MASS else _tracked
+    bad = run(
+        simulator.state,
+        simulator._beyond(),
+        simulator.measured,
+        rows_of(volts),
+        rows_of(on),
+        rows_of(edges[:-1]),
+        counts if BACKEND == "numba" else counts.tolist(),
+        rows_of(duration / counts),
+        target if BACKEND == "numba" else target.tolist(),
+        corrected if BACKEND == "numba" else corrected.tolist(),
+        gains,
+        *simulator._kernel,
+        out,
+    )
+    if bad >= 0 or not np.isfinite(out).all():
+        raise NonFiniteStateError(int(bad))
+    return Tracked(*(out[:, first + hidden : first + 3] for first in (0, 3, 6)))
