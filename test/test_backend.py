@@ -20,12 +20,14 @@ needs_numba = pytest.mark.skipif(importlib.util.find_spec("numba") is None, reas
 PROGRAM = """
 import json
 import numpy as np
-from puma_sim_core.backend import BACKEND
-from puma_sim_core.control.servo import ServoConfig
+from puma_sim_core.jit import BACKEND
+from puma_sim_core.dynamics.servo import ServoConfig
 from puma_sim_core.effects import KINDS, parse_effect
-from puma_sim_core.plant import Plant
-from puma_sim_core.session import Session, SessionConfig
-from puma_sim_core.simulator import Constraint, Simulator
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.simulation.session import Session
+from puma_sim_core.simulation.session import SessionConfig
+from puma_sim_core.simulation.simulator import Constraint
+from puma_sim_core.simulation.simulator import Simulator
 
 dry = ["coulomb_friction:joint=1,torque=12", "coulomb_friction:joint=2,torque=5",
        "asymmetric_coulomb_friction:joint=2,positive=8,negative=3",
@@ -133,7 +135,7 @@ def test_without_numba_the_kernel_is_plain_python():
         HIDDEN + "from puma_sim_core.plant.plant import Plant; "
         "from puma_sim_core.simulation.simulator import Simulator; "
         "print(Simulator(Plant.of()).step((1, 2, 3))[6:], "
-        "__import__('puma_sim_core.jit').backend.BACKEND)",
+        "__import__('puma_sim_core.jit').jit.BACKEND)",
         PUMA_SIM_KERNEL="auto",
     )
     assert done.returncode == 0, done.stderr
@@ -176,15 +178,15 @@ def test_a_change_of_any_compiled_source_is_another_cache(tmp_path, monkeypatch)
     monkeypatch.setattr(backend, "_PACKAGE", copy)
     digests = [backend._source_digest()]
     for name in (
-        "kernel.py",
-        "contact.py",
-        "runs.py",
-        "lanes.py",
-        "backend.py",
+        "dynamics/rigid.py",
+        "dynamics/contact.py",
+        "dynamics/runs.py",
+        "dynamics/lanes.py",
+        "jit.py",
         "effects/friction.py",
         "effects/base.py",
-        "control/pid.py",
-        "control/servo.py",
+        "dynamics/pid.py",
+        "dynamics/servo.py",
     ):
         with open(copy / name, "a", encoding="utf-8") as file:
             file.write("\n# changed\n")
@@ -192,7 +194,7 @@ def test_a_change_of_any_compiled_source_is_another_cache(tmp_path, monkeypatch)
     (copy / "effects" / "new_family.py").write_text("KINDS = ()\n")
     digests.append(backend._source_digest())
     assert len(set(digests)) == len(digests)
-    with open(copy / "session.py", "a", encoding="utf-8") as file:
+    with open(copy / "simulation" / "session.py", "a", encoding="utf-8") as file:
         file.write("\n# changed\n")
     assert backend._source_digest() == digests[-1]
 

@@ -21,7 +21,7 @@ from scipy.integrate import solve_ivp
 
 from puma_sim_core.plant.plant import dump_model
 from puma_sim_core.recording.recording import read_csv
-from puma_sim_core.simulation.simulator import GREATEST_STEP
+from puma_sim_core.simulation.run_inputs import GREATEST_STEP
 
 pytestmark = pytest.mark.long
 INITIAL = ("--initial", triple(START[0]), "--initial-velocity", triple(START[1]), "--initial-current", triple(START[2]))

@@ -229,11 +229,11 @@ def test_a_stiff_drive_moves_as_a_rigid_one(effects, tolerance):
 #: runs with the law as it stands, and with |G| alone put in its place, which must give the same
 PROGRAM = """
 import numpy as np
-from puma_sim_core import joint_torques
+from puma_sim_core.dynamics import torques as joint_torques
 from puma_sim_core.effects import parse_effect
-from puma_sim_core.mechanisms import load_mechanism
-from puma_sim_core.plant import Plant
-from puma_sim_core.simulator import Simulator
+from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.simulation.simulator import Simulator
 
 friction = ["load_dependent_friction:joint=2,coefficient=0.2", "coulomb_friction:joint=1,torque=5",
             "load_dependent_friction:joint=3,coefficient=0.3,transmitted=0"]

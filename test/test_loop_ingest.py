@@ -164,9 +164,9 @@ def test_memory_does_not_grow_with_the_file(file):
 
 _PEAK = """
 import resource, sys
-from puma_sim_core.loop.gate import check
-from puma_sim_core.loop.ingest import read_log
-from puma_sim_core.mechanisms import load_mechanism
+from puma_sim_core.identify.checks.gate import check
+from puma_sim_core.identify.data.ingest import read_log
+from puma_sim_core.plant.mechanism import load_mechanism
 log = read_log(sys.argv[1])
 _, notes = check(log, load_mechanism())
 print(len(log), sum(log.time[1:] <= log.time[:-1]), sum("were read" in note for note in notes),

@@ -187,9 +187,9 @@ def test_what_a_single_joint_refuses():
 
 BITS = """
 import numpy as np
-from puma_sim_core.mechanisms import load_mechanism
+from puma_sim_core.plant.mechanism import load_mechanism
 from puma_sim_core.effects import parse_effect
-from puma_sim_core.simulator import Simulator
+from puma_sim_core.simulation.simulator import Simulator
 for name in ("pendulum", "slide"):
     plant = load_mechanism(name).plant(None, [
         parse_effect("coulomb_friction:joint=1,torque=0.03"),

@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 
 from puma_sim_core.dynamics.servo import ServoConfig
 from puma_sim_core.errors import LimitError, NonFiniteStateError, ParameterError
-from puma_sim_core.simulation.simulator import GREATEST_STEP, SERVO_PERIOD, Constraint, Limits, Simulator, check_step
+from puma_sim_core.simulation.run_inputs import GREATEST_STEP
+from puma_sim_core.simulation.simulator import SERVO_PERIOD, Constraint, Limits, Simulator, check_step
 
 #: every kind of effect at once
 EFFECTS = (
@@ -328,8 +329,8 @@ def test_constraints_come_in_threes_and_agree_with_the_initial_velocity():
 EXPLOSION = """
 import numpy as np
 from puma_sim_core.errors import NonFiniteStateError
-from puma_sim_core.plant import Plant
-from puma_sim_core.simulator import Simulator
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.simulation.simulator import Simulator
 simulator = Simulator(Plant.of())
 volts = np.zeros((50, 3))
 volts[4:] = 1e160

@@ -262,9 +262,10 @@ PROGRAM = """
 import hashlib
 import numpy as np
 from puma_sim_core.effects import parse_effect
-from puma_sim_core.plant import Plant
-from puma_sim_core.session import Session, SessionConfig
-from puma_sim_core.simulator import Simulator
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.simulation.session import Session
+from puma_sim_core.simulation.session import SessionConfig
+from puma_sim_core.simulation.simulator import Simulator
 
 def digest():
     effects = ["joint_elasticity:joint=2,stiffness=2e4", "backlash:joint=3,gap=0.001",

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 
-from test.blind import arm_parameters as arm
+from blind import arm_parameters as arm
 
 #: MuJoCo's dry friction is a soft constraint; these make its creep at rest 1e-8 of the torque
 _SHARP = 'solreffriction="2e-4 1" solimpfriction="0.9999 0.9999 0.001 0.5 2"'

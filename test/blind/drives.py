@@ -18,8 +18,8 @@ import mujoco
 import numba
 import numpy as np
 
-from test.blind import arm_parameters as arm
-from test.blind.arm_mujoco import Mechanics, model
+from blind import arm_parameters as arm
+from blind.arm_mujoco import Mechanics, model
 
 (LIBRARY,) = Path(mujoco.__file__).parent.glob("libmujoco*.so*")
 # compiled code finds the functions of libraries that are open to the whole process

@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from test.blind import arm_parameters as arm
-from test.blind import drives
-from test.blind.arm_mujoco import Mechanics
+from blind import arm_parameters as arm
+from blind import drives
+from blind.arm_mujoco import Mechanics
 
 #: where the stop of the other side stands [rad]: out of reach
 NO_STOP = 100.0

@@ -24,11 +24,11 @@ if __name__ == "__main__" and not __package__:
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
     __package__ = "blind"
 
-from test.blind import arm_parameters as arm
-from test.blind import faults, motions, outside, records
-from test.blind.drives import Controller, Run, Sampling, simulate
-from test.blind.effects import EFFECTS, NO_STOP, Plant, derived, scaled
-from test.blind.size import Sizes, measure
+from blind import arm_parameters as arm
+from blind import faults, motions, outside, records
+from blind.drives import Controller, Run, Sampling, simulate
+from blind.effects import EFFECTS, NO_STOP, Plant, derived, scaled
+from blind.size import Sizes, measure
 
 #: how near (in ratio) the size of a record comes to what was asked for
 _NEAR = 1.2

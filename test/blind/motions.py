@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from test.blind import arm_parameters as arm
+from blind import arm_parameters as arm
 
 TOP_SPEED = np.array([1.7, 1.15, 1.9])  # rad/s
 TOP_ACCELERATION = np.array([7.0, 4.0, 9.0])  # rad/s2

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from test.blind import drives
-from test.blind.effects import UNIT
+from blind import drives
+from blind.effects import UNIT
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from test.blind.effects import COMMON, EFFECTS, WHOLE_ARM
-from test.blind.faults import FAULTS
-from test.blind.outside import OUTSIDE
+from blind.effects import COMMON, EFFECTS, WHOLE_ARM
+from blind.faults import FAULTS
+from blind.outside import OUTSIDE
 
 #: a pair that on one joint is a single effect to any log: a spring about another angle
 ONE_ANGLE = {"joint_spring", "voltage_offset"}

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from test.blind import arm_parameters as arm
-from test.blind.drives import Run, Sampling
+from blind import arm_parameters as arm
+from blind.drives import Run, Sampling
 
 BAND = 25.0  # Hz
 _TAPS = 121

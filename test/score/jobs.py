@@ -16,9 +16,9 @@ from blind import generate
 from puma_sim_core.errors import PumaSimError
 from puma_sim_core.identify import explain
 from puma_sim_core.identify.report.json import report_mapping
-from test.score.baselines import baselines
-from test.score.reference import Bench
-from test.score.scoring import LEAST_SIZE, kind_of
+from score.baselines import baselines
+from score.reference import Bench
+from score.scoring import LEAST_SIZE, kind_of
 
 #: of a report, what a score does not need
 _LEFT_OUT = ("detectability", "next_experiment", "parameters", "notes", "logs", "held_out_logs")

@@ -32,8 +32,8 @@ if __name__ == "__main__" and not __package__:
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
     __package__ = "score"
 
-from test.score import jobs, plan, table
-from test.score.scoring import row_of
+from score import jobs, plan, table
+from score.scoring import row_of
 
 #: records, the slowest ones, that are explained again with nothing beside them
 _AGAIN = 3

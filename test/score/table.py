@@ -8,8 +8,8 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 
-from test.score.rates import clopper_pearson, wilson
-from test.score.scoring import LEAST_SIZE, ROW_TOLERANCE, kind_of, row_of
+from score.rates import clopper_pearson, wilson
+from score.scoring import LEAST_SIZE, ROW_TOLERANCE, kind_of, row_of
 
 BASELINES = ("retuning", "all at once", "forward")
 _CLASSES = ((0.6, 1.0), (1.0, 1.5), (1.5, 3.0), (3.0, 6.0), (6.0, math.inf))
