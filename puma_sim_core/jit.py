@@ -43,6 +43,15 @@ def _choose() -> str:
     return "numba"
 
 
+_FURTHER: list[Path] = []
+
+
+def add_source(path: Path) -> None:
+    """Count a file among what compiled functions are made of, such as that of a user's own effect."""
+    if path not in _FURTHER:
+        _FURTHER.append(path)
+
+
 def _source_digest() -> str:
     """Digest of all sources that are compiled together.
 
@@ -55,6 +64,8 @@ def _source_digest() -> str:
         for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
             if file.exists():
                 digest.update(file.name.encode() + file.read_bytes())
+    for file in _FURTHER:
+        digest.update(str(file).encode() + file.read_bytes())
     return digest.hexdigest()[:16]
 
 

@@ -4,23 +4,22 @@
 
 from __future__ import annotations
 
-from puma_sim_core import effects as _registry
-from puma_sim_core.effects.amplifier import CURRENT_LIMITER, SUPPLY, limited_current, limited_rate, supply_share
+from puma_sim_core.dynamics.laws import (
+    ALGEBRAIC,
+    CURRENT_LIMIT,
+    DROOP,
+    WIDTH,
+    bounded_current,
+    bounded_rate,
+    supply_share,
+)
 from puma_sim_core.jit import inlined
-
-WIDTH = _registry.WIDTH
-CURRENT_LIMIT, DROOP = _registry.CURRENT_LIMIT, _registry.DROOP
-#: some motor has no inductance (1/L is given as 0): its current follows the voltage at once
-ALGEBRAIC = 2048
-
-LIMIT = _registry.slot(CURRENT_LIMITER)
-_SUPPLY = _registry.slot(SUPPLY)
 
 
 @inlined
 def supplied(v1, v2, v3, i1, i2, i3, p):
-    """Voltages [V] that are left of a supply that gives way under the currents."""
-    share = supply_share(p, _SUPPLY, i1, i2, i3)
+    """Voltages [V] that are left of a supply that sags under the currents."""
+    share = supply_share(p, 0, i1, i2, i3)
     return v1 * share, v2 * share, v3 * share
 
 
@@ -31,7 +30,7 @@ def settled_current(j, i, w, v, inverse_inductance, resistance, emf, active, p):
         return i
     i = (v - emf * w) / resistance
     if active & CURRENT_LIMIT:
-        i = limited_current(p, j * WIDTH + LIMIT, i)
+        i = bounded_current(p, j * WIDTH, i)
     return i
 
 
@@ -78,17 +77,13 @@ def electric_rates(i1, i2, i3, w1, w2, w3, v1, v2, v3, drive, active, p):
     e2 = (u2 - r2 * i2 - k2 * w2) * y2
     e3 = (u3 - r3 * i3 - k3 * w3) * y3
     if active & CURRENT_LIMIT:
-        e1 = limited_rate(p, LIMIT, i1, e1)
-        e2 = limited_rate(p, WIDTH + LIMIT, i2, e2)
-        e3 = limited_rate(p, 2 * WIDTH + LIMIT, i3, e3)
+        e1 = bounded_rate(p, 0, i1, e1)
+        e2 = bounded_rate(p, WIDTH, i2, e2)
+        e3 = bounded_rate(p, 2 * WIDTH, i3, e3)
     return i1, i2, i3, e1, e2, e3
 
 
 @inlined
 def limited_currents(i1, i2, i3, p):
-    """`limited_current` of the three motors."""
-    return (
-        limited_current(p, LIMIT, i1),
-        limited_current(p, WIDTH + LIMIT, i2),
-        limited_current(p, 2 * WIDTH + LIMIT, i3),
-    )
+    """Currents [A] of the three motors within their bounds."""
+    return (bounded_current(p, 0, i1), bounded_current(p, WIDTH, i2), bounded_current(p, 2 * WIDTH, i3))

@@ -13,8 +13,9 @@ step goes on from there with new states. So the order of the Runge-Kutta step su
 
 from __future__ import annotations
 
-from puma_sim_core.dynamics.circuit import ALGEBRAIC, settled_state
-from puma_sim_core.dynamics.rigid import LOCKED, STILL, library_trigonometry, remove_rows, rigid_body, rk4_step, solve
+from puma_sim_core.dynamics.circuit import settled_state
+from puma_sim_core.dynamics.laws import ALGEBRAIC, DRY, LOCKED, VARYING
+from puma_sim_core.dynamics.rigid import STILL, library_trigonometry, remove_rows, rigid_body, rk4_step, solve
 from puma_sim_core.dynamics.torques import (
     constant_level,
     effect_torques,
@@ -23,7 +24,6 @@ from puma_sim_core.dynamics.torques import (
     has_dry,
     sliding_level,
 )
-from puma_sim_core.effects import DRY, VARYING
 from puma_sim_core.jit import inlined, merged, outlined
 
 #: changes of contact that are located inside one step; more than that is chatter, see below

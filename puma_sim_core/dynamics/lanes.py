@@ -13,7 +13,8 @@ from __future__ import annotations
 
 from math import floor
 
-from puma_sim_core.dynamics.rigid import FREE, NO_SLIP, STILL, build_step
+from puma_sim_core.dynamics.laws import UNBENT
+from puma_sim_core.dynamics.rigid import FREE, NO_SLIP, build_step
 from puma_sim_core.jit import compiled, inlined
 
 #: runs side by side: two registers of AVX2, one of AVX-512
@@ -130,7 +131,7 @@ def step_lanes(a, h, p):
             a[360 + m],
             a[368 + m],
         )
-        y, _ = lane_step(x, STILL, v, h, body, drive, 0, p, FREE, NO_SLIP)
+        y, _ = lane_step(x, UNBENT, v, h, body, drive, 0, p, FREE, NO_SLIP)
         a[m] = y[0]
         a[8 + m] = y[1]
         a[16 + m] = y[2]

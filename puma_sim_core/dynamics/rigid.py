@@ -27,25 +27,10 @@ from __future__ import annotations
 
 from math import cos, sin
 
-from puma_sim_core import effects as _registry
-from puma_sim_core.dynamics.circuit import (
-    ALGEBRAIC,
-    LIMIT,
-    electric_rates,
-    limited_currents,
-    limited_rate,
-    motor_torques,
-    settled_currents,
-)
+from puma_sim_core.dynamics.circuit import electric_rates, limited_currents, motor_torques, settled_currents
+from puma_sim_core.dynamics.laws import ALGEBRAIC, BRISTLE, CURRENT_LIMIT, DROOP, LOCKED, POSED, WIDTH, bounded_rate
 from puma_sim_core.dynamics.torques import bristle_levels, bristle_torques, effect_torques
 from puma_sim_core.jit import inlined
-
-WIDTH = _registry.WIDTH
-BRISTLE = _registry.BRISTLE
-CURRENT_LIMIT = _registry.CURRENT_LIMIT
-DROOP, POSED = _registry.DROOP, _registry.POSED
-#: some joint is constrained from outside, or sticks
-LOCKED = 32
 
 FREE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 NO_SLIP = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -145,9 +130,9 @@ def derivative(q1, q2, q3, w1, w2, w3, i1, i2, i3, v1, v2, v3, trig, body, drive
         e2 = (v2 - r2 * i2 - k2 * w2) * y2
         e3 = (v3 - r3 * i3 - k3 * w3) * y3
         if active & CURRENT_LIMIT:
-            e1 = limited_rate(p, LIMIT, i1, e1)
-            e2 = limited_rate(p, WIDTH + LIMIT, i2, e2)
-            e3 = limited_rate(p, 2 * WIDTH + LIMIT, i3, e3)
+            e1 = bounded_rate(p, 0, i1, e1)
+            e2 = bounded_rate(p, WIDTH, i2, e2)
+            e3 = bounded_rate(p, 2 * WIDTH, i3, e3)
     t1 = n1 * i1 - h1 * w1
     t2 = n2 * i2 - h2 * w2
     t3 = n3 * i3 - h3 * w3

@@ -16,50 +16,56 @@ Arguments that all functions share, beside those of `kernel`
 
 from __future__ import annotations
 
-from puma_sim_core import effects as _registry
-from puma_sim_core.dynamics.circuit import ALGEBRAIC, settled_state
+from puma_sim_core.dynamics.circuit import settled_state
 from puma_sim_core.dynamics.contact import cold_step, contact, contact_step
-from puma_sim_core.dynamics.rigid import FREE, LOCKED, NO_SLIP, STILL, WIDTH, derivative, library_trigonometry, rk4_step
+from puma_sim_core.dynamics.laws import (
+    ALGEBRAIC,
+    BRISTLE,
+    CURRENT_LIMIT,
+    DELAYED,
+    DRY,
+    LOCKED,
+    MEMORY,
+    SENSED,
+    SMOOTH,
+    TIMED,
+    TWO_MASS,
+    VARYING,
+    WIDTH,
+    Z_WIDTH,
+    after_losses,
+    deflections_of,
+    row_readers,
+    with_deflections,
+    within_supply,
+)
+from puma_sim_core.dynamics.rigid import FREE, NO_SLIP, STILL, derivative, library_trigonometry, rk4_step
 from puma_sim_core.dynamics.sensed import measured_after
 from puma_sim_core.dynamics.servo import MEMORY_WIDTH, SERVO_WIDTH, delayed, servo_at_rest, servo_sample
 from puma_sim_core.dynamics.timed import drive_at, push_over
 from puma_sim_core.dynamics.torques import bristle_torques
-from puma_sim_core.effects import BRISTLE, CURRENT_LIMIT, DRY, SMOOTH, TIMED, VARYING
-from puma_sim_core.effects.amplifier import DEAD_BAND, OFFSET, SATURATION, past_dead_band, past_offset, saturated
 from puma_sim_core.jit import compiled, inlined, merged, outlined
 
-SENSED, DELAYED, TWO_MASS = _registry.SENSED, _registry.DELAYED, _registry.TWO_MASS
 #: stages whose runs have rows of WIDE_ROW numbers instead of ROW
-WIDE = SENSED | TWO_MASS
-ROW, WIDE_ROW = 12, 21
+WIDE = SENSED | TWO_MASS | MEMORY
+ROW, WIDE_ROW = 12, 12 + Z_WIDTH
+deflections_in_row, z_in_row = row_readers(ROW)
 #: stages of plants without dry friction that have a step of their own
 _COMMON = SMOOTH | VARYING | BRISTLE | CURRENT_LIMIT | LOCKED
 #: numbers of `late` in `run_servo` before the voltages that it holds back
 LATE_WIDTH = 5
 
-_SATURATION = _registry.slot(SATURATION)
-_DEAD_BAND = _registry.slot(DEAD_BAND)
-_OFFSET = _registry.slot(OFFSET)
-
 
 @inlined
 def terminal_voltage(j, v, p):
     """Voltage [V] at motor j's terminals for the commanded one, a droop of the supply apart."""
-    k = j * WIDTH
-    v = past_dead_band(p, k + _DEAD_BAND, v)
-    v = past_offset(p, k + _OFFSET, v)
-    v = saturated(p, k + _SATURATION, v)
-    return v
+    return within_supply(p, j * WIDTH, after_losses(p, j * WIDTH, v))
 
 
 @compiled
 def supply_voltages(v1, v2, v3, p):
     """Voltages [V] that the supply can give of the commanded ones: what a drive reports."""
-    return (
-        saturated(p, _SATURATION, v1),
-        saturated(p, WIDTH + _SATURATION, v2),
-        saturated(p, 2 * WIDTH + _SATURATION, v3),
-    )
+    return within_supply(p, 0, v1), within_supply(p, WIDTH, v2), within_supply(p, 2 * WIDTH, v3)
 
 
 @compiled
@@ -73,7 +79,7 @@ def advance(x, z, m, v, t, h, n, body, drive, active, p, lock):
     """x, z and m after n steps of h seconds from time t [s] on with the voltages v held."""
     if active != 0:
         return advance_stages(x, z, m, v, t, h, n, body, drive, active, p, lock)
-    b = (z[0], z[1], z[2])
+    b = deflections_of(z)
     for _ in range(n):
         # the literal 0 lets the compiler drop every stage that is not needed
         x, b = rk4_step(x, b, v, h, body, drive, 0, p, FREE, NO_SLIP)
@@ -83,7 +89,7 @@ def advance(x, z, m, v, t, h, n, body, drive, active, p, lock):
 @merged
 def advance_stages(x, z, m, v, t, h, n, body, drive, active, p, lock):
     """`advance` for a plant with active stages."""
-    b = (z[0], z[1], z[2])
+    b = deflections_of(z)
     for k in range(n):
         now, push = drive, STILL
         if active & TIMED:
@@ -99,7 +105,7 @@ def advance_stages(x, z, m, v, t, h, n, body, drive, active, p, lock):
         if active & SENSED:
             m = measured_after(m, x, y, h, p)
         x = y
-    return x, (b[0], b[1], b[2], z[3], z[4], z[5], z[6], z[7], z[8]), m
+    return x, with_deflections(z, b), m
 
 
 @inlined
@@ -121,10 +127,10 @@ def store(out, r, x, z):
 
 @inlined
 def store_wide(out, r, z, m):
-    """Write measured positions and links to row r, behind what `store` writes."""
+    """Write measured positions, links and further deflections to row r, behind what `store` writes."""
     for j in range(3):
         out[r, ROW + j] = m[j]
-    for j in range(6):
+    for j in range(Z_WIDTH - 3):
         out[r, ROW + 3 + j] = z[3 + j]
 
 
@@ -138,7 +144,7 @@ def run_plain(x, z, volts, counts, steps, body, drive, p, out):
             terminal_voltage(1, volts[r][1], p),
             terminal_voltage(2, volts[r][2], p),
         )
-        b = (z[0], z[1], z[2])
+        b = deflections_of(z)
         for _ in range(counts[r]):
             x, b = rk4_step(x, b, v, steps[r], body, drive, 0, p, FREE, NO_SLIP)
         if not is_finite(x):
@@ -309,7 +315,7 @@ def accelerations(out, volts, times, body, drive, active, p, lock, result):
             if held[0] + held[1] + held[2] > 0.0:
                 stages = active | LOCKED
         if active & BRISTLE:
-            _, bend = bristle_torques((out[r, 9], out[r, 10], out[r, 11]), 0.0, 0.0, 0.0, STILL, p)
+            _, bend = bristle_torques(deflections_in_row(out, r, active), 0.0, 0.0, 0.0, STILL, p)
         a = derivative(
             x[0],
             x[1],

@@ -2,32 +2,38 @@
 # Copyright the puma-sim contributors
 """The measured position: what records, joint states, the servo and controllers see.
 
-The state of the simulation is the true one; with `sensor_lag`, `encoder_offset` or
-`sensor_nonlinearity` the measured position differs from it. A lag has a memory, the measured
+The state of the simulation is the true one; with effects of its sensors
+the measured position differs from it. A lag has a memory, the measured
 position itself, which a run carries on.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import exp
 
 import numpy as np
 
-from puma_sim_core import effects as _registry
-from puma_sim_core.dynamics.rigid import WIDTH
-from puma_sim_core.effects.sensing import (
-    ENCODER_OFFSET,
-    LAG,
-    NONLINEARITY,
-    lagged_position,
-    sensed_position,
-    sensed_velocity,
-)
+from puma_sim_core.dynamics.laws import WIDTH, combined, sensor_error, sensor_lag, sensor_offset, sensor_slope
+from puma_sim_core.effects.base import Point
 from puma_sim_core.jit import inlined, interpreted
 
-_LAG = _registry.slot(LAG)
-_OFFSET = _registry.slot(ENCODER_OFFSET)
-_CURVE = _registry.slot(NONLINEARITY)
+
+@inlined
+def lagged_position(T, before, u0, u1, d0, d1, step):
+    """Position [rad] behind a lag of T [s] at the end of a step, `before` at its start.
+
+    u0, u1 : what the sensor gives at start and end once it has settled; d0, d1 : its rates. The exact solution for
+    the parabola with the mean slope and the mean curvature of the step.
+    """
+    if T == 0.0:
+        return u1
+    slope = (u1 - u0) / step
+    bow = (d1 - d0) / step
+    # slope and curvature add these to a lag that has settled
+    shift0 = T * (slope - 0.5 * step * bow) - T * T * bow
+    shift1 = T * (slope + 0.5 * step * bow) - T * T * bow
+    return u1 - shift1 + (before - u0 + shift0) * exp(-step / T)
 
 
 @inlined
@@ -35,13 +41,12 @@ def measured_joint(j, before, q0, w0, q1, w1, step, p):
     """Measured position [rad] of joint j after a step [s] from (q0, w0) to (q1, w1)."""
     k = j * WIDTH
     return lagged_position(
-        p,
-        k + _LAG,
+        sensor_lag(p, k),
         before,
-        sensed_position(p, k + _OFFSET, k + _CURVE, q0),
-        sensed_position(p, k + _OFFSET, k + _CURVE, q1),
-        sensed_velocity(p, k + _CURVE, q0, w0),
-        sensed_velocity(p, k + _CURVE, q1, w1),
+        q0 + sensor_offset(p, k) + sensor_error(p, k, q0),
+        q1 + sensor_offset(p, k) + sensor_error(p, k, q1),
+        w0 * (1.0 + sensor_slope(p, k, q0)),
+        w1 * (1.0 + sensor_slope(p, k, q1)),
         step,
     )
 
@@ -56,14 +61,16 @@ def measured_after(m, x, y, step, p):
     )
 
 
-_settled = interpreted(sensed_position)
-_slope = interpreted(sensed_velocity)
+_offset, _error, _slope, _lag = (
+    combined(point, interpreted)
+    for point in (Point.SENSOR_OFFSET, Point.SENSOR_ERROR, Point.SENSOR_SLOPE, Point.SENSOR_LAG)
+)
 
 
 def settled_positions(position: Sequence[float], table: Sequence[float]) -> tuple[float, ...]:
     """Measured positions [rad] of an arm that has rested at `position` [rad]."""
     return tuple(
-        float(_settled(table, j * WIDTH + _OFFSET, j * WIDTH + _CURVE, float(q))) for j, q in enumerate(position)
+        float(float(q) + _offset(table, j * WIDTH) + _error(table, j * WIDTH, float(q))) for j, q in enumerate(position)
     )
 
 
@@ -71,19 +78,19 @@ def true_motion(measured, velocity, acceleration, table: Sequence[float]) -> tup
     """True position (3) [rad] and velocity (3) [rad/s] behind a measured motion.
 
     measured [rad], velocity [rad/s], acceleration [rad/s^2] : (3) of the measured position. The
-    lag is undone by its equation, u = m + T dm/dt, the curve of the sensor by Newton's method.
+    lag is undone by its equation, u = m + T dm/dt, the error of the sensor by Newton's method.
     """
     position, speed = np.empty(3), np.empty(3)
     for j in range(3):
         k = j * WIDTH
-        lag, offset, curve = table[k + _LAG], k + _OFFSET, k + _CURVE
+        lag, offset = _lag(table, k), _offset(table, k)
         u = measured[j] + lag * velocity[j]
-        q = u - table[offset]
+        q = u - offset
         for _ in range(50):
-            step = (_settled(table, offset, curve, q) - u) / max(_slope(table, curve, q, 1.0), 0.1)
+            step = (q + offset + _error(table, k, q) - u) / max(1.0 + _slope(table, k, q), 0.1)
             q -= step
             if abs(step) <= 1e-15 * (1.0 + abs(q)):
                 break
         position[j] = q
-        speed[j] = (velocity[j] + lag * acceleration[j]) / _slope(table, curve, q, 1.0)
+        speed[j] = (velocity[j] + lag * acceleration[j]) / (1.0 + _slope(table, k, q))
     return position, speed

@@ -9,16 +9,8 @@ its mean over the step, which keeps its momentum. Both are of second order in th
 
 from __future__ import annotations
 
-from puma_sim_core import effects as _registry
-from puma_sim_core.dynamics.rigid import WIDTH
-from puma_sim_core.effects.friction import WARM_UP, warmed_share
-from puma_sim_core.effects.motor import DRIFT, resistance_growth
-from puma_sim_core.effects.outside import IMPULSE, pulse_torque
+from puma_sim_core.dynamics.laws import WIDTH, push_law, resistance_factor, viscous_factor
 from puma_sim_core.jit import inlined
-
-_WARM_UP = _registry.slot(WARM_UP)
-_DRIFT = _registry.slot(DRIFT)
-_IMPULSE = _registry.slot(IMPULSE)
 
 
 @inlined
@@ -27,20 +19,20 @@ def drive_at(time, drive, p):
     y1, r1, k1, n1, h1, y2, r2, k2, n2, h2, y3, r3, k3, n3, h3 = drive
     return (
         y1,
-        r1 * resistance_growth(p, _DRIFT, time),
+        r1 * resistance_factor(p, 0, time),
         k1,
         n1,
-        h1 * warmed_share(p, _WARM_UP, time),
+        h1 * viscous_factor(p, 0, time),
         y2,
-        r2 * resistance_growth(p, WIDTH + _DRIFT, time),
+        r2 * resistance_factor(p, WIDTH, time),
         k2,
         n2,
-        h2 * warmed_share(p, WIDTH + _WARM_UP, time),
+        h2 * viscous_factor(p, WIDTH, time),
         y3,
-        r3 * resistance_growth(p, 2 * WIDTH + _DRIFT, time),
+        r3 * resistance_factor(p, 2 * WIDTH, time),
         k3,
         n3,
-        h3 * warmed_share(p, 2 * WIDTH + _WARM_UP, time),
+        h3 * viscous_factor(p, 2 * WIDTH, time),
     )
 
 
@@ -48,8 +40,4 @@ def drive_at(time, drive, p):
 def push_over(time, step, p):
     """Torques [N.m] from outside in the direction of +q: the mean from `time` to `time` + `step`
     [s], or the value at an instant for step 0."""
-    return (
-        pulse_torque(p, _IMPULSE, time, step),
-        pulse_torque(p, WIDTH + _IMPULSE, time, step),
-        pulse_torque(p, 2 * WIDTH + _IMPULSE, time, step),
-    )
+    return (push_law(p, 0, time, step), push_law(p, WIDTH, time, step), push_law(p, 2 * WIDTH, time, step))

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""The torques of the effects at the joints: a new law of a joint is one line here.
+"""The torques of the effects at the joints, from the laws of the registry.
 
 Scalar code as in `kernel`, whose arguments these are. Smooth torques depend on position and
 velocity; dry friction is a level, of which a part stays the same over a step, a part falls with
@@ -9,67 +9,41 @@ the speed and a part depends on the pose; and it may act through a bristle.
 
 from __future__ import annotations
 
-from math import cos, sin
+from math import exp
 
-from puma_sim_core import effects as _registry
-from puma_sim_core.effects.friction import (
-    ASYMMETRIC_COULOMB,
-    COULOMB,
-    LOAD_DEPENDENT,
-    POSITION_DEPENDENT,
-    PRESLIDING,
-    QUADRATIC,
-    STRIBECK,
-    asymmetric_level,
-    bristle_flow,
-    coulomb_level,
-    load_level,
-    loaded_torque,
-    position_level,
-    presliding_level,
-    quadratic_torque,
-    stribeck_level,
-    stribeck_sliding_level,
+from puma_sim_core.dynamics.laws import (
+    BRISTLE,
+    DRY,
+    POSED,
+    SMOOTH,
+    TILT,
+    TIMED,
+    VARYING,
+    WIDTH,
+    arm_law,
+    bristle_stiffness,
+    deflection_torques,
+    has_pose_law,
+    level_law,
+    link_law,
+    loaded_law,
+    motor_law,
+    pose_law,
+    speed_law,
 )
-from puma_sim_core.effects.motor import RIPPLE, ripple_torque
-from puma_sim_core.effects.outside import BASE_TILT, SPRING, spring_torque, tilt_torques
-from puma_sim_core.effects.stops import SOFT_STOP, stop_torque
 from puma_sim_core.jit import inlined, outlined
-
-WIDTH = _registry.WIDTH
-SMOOTH, DRY, VARYING, POSED = _registry.SMOOTH, _registry.DRY, _registry.VARYING, _registry.POSED
-BRISTLE, TILT, TIMED = _registry.BRISTLE, _registry.TILT, _registry.TIMED
-
-_COULOMB = _registry.slot(COULOMB)
-_ASYMMETRIC = _registry.slot(ASYMMETRIC_COULOMB)
-_STRIBECK = _registry.slot(STRIBECK)
-_PRESLIDING = _registry.slot(PRESLIDING)
-_STOP = _registry.slot(SOFT_STOP)
-_QUADRATIC = _registry.slot(QUADRATIC)
-_LOAD = _registry.slot(LOAD_DEPENDENT)
-_POSITION = _registry.slot(POSITION_DEPENDENT)
-_RIPPLE = _registry.slot(RIPPLE)
-_SPRING = _registry.slot(SPRING)
-#: the places of an effect of the whole arm hold `outside.tilt_constants`
-_TILT = _registry.slot(BASE_TILT)
 
 
 @inlined
 def link_torque(j, q, qd, p):
     """`smooth_torque` of the effects that act on the link itself, behind the gear."""
-    k = j * WIDTH
-    torque = stop_torque(p, k + _STOP, q, qd)
-    torque += spring_torque(p, k + _SPRING, q)
-    return torque
+    return link_law(p, j * WIDTH, q, qd)
 
 
 @inlined
 def motor_torque(j, q, qd, p):
     """`smooth_torque` of the effects that act on the motor and its gear."""
-    k = j * WIDTH
-    torque = quadratic_torque(p, k + _QUADRATIC, qd)
-    torque += ripple_torque(p, k + _RIPPLE, q)
-    return torque
+    return motor_law(p, j * WIDTH, q, qd)
 
 
 @inlined
@@ -81,20 +55,14 @@ def smooth_torque(j, q, qd, p):
 @inlined
 def constant_level(j, direction, p):
     """Dry friction [N.m] of joint j that depends on nothing but its direction (+1, -1)."""
-    k = j * WIDTH
-    level = coulomb_level(p, k + _COULOMB)
-    level += asymmetric_level(p, k + _ASYMMETRIC, direction)
-    level += presliding_level(p, k + _PRESLIDING)
-    level += stribeck_sliding_level(p, k + _STRIBECK)
-    return level
+    return level_law(p, j * WIDTH, direction)
 
 
 @inlined
 def pose_level(j, q, gravity, torque, p):
     """Dry friction [N.m] of joint j that depends on the pose and the load: on its position q
     [rad], its gravity torque and what its motor gives after viscous friction [N.m]."""
-    k = j * WIDTH
-    return load_level(p, k + _LOAD, gravity, torque) + position_level(p, k + _POSITION, q)
+    return pose_law(p, j * WIDTH, q, gravity, torque)
 
 
 @inlined
@@ -102,7 +70,7 @@ def sliding_level(j, direction, q, gravity, torque, speed, p):
     """All dry friction [N.m] of joint j when it slides in `direction` at `speed` >= 0 [rad/s] in
     a pose, as `pose_level` takes it."""
     level = constant_level(j, direction, p)
-    level += stribeck_level(p, j * WIDTH + _STRIBECK, speed)
+    level += speed_law(p, j * WIDTH, speed)
     return level + pose_level(j, q, gravity, torque, p)
 
 
@@ -112,7 +80,7 @@ def inverse_torque(j, sign, q, gravity, torque, speed, p):
     `torque` beside dry friction; sign : of its velocity, -1..1."""
     direction = 1.0 if sign > 0.0 else -1.0
     torque += sign * sliding_level(j, direction, q, 0.0, 0.0, speed, p)
-    return loaded_torque(p, j * WIDTH + _LOAD, gravity, torque, sign)
+    return loaded_law(p, j * WIDTH, gravity, sign, torque)
 
 
 @inlined
@@ -122,17 +90,15 @@ def has_dry(j, p):
     return (
         constant_level(j, 1.0, p) > 0.0
         or constant_level(j, -1.0, p) > 0.0
-        or p[k + _STRIBECK] > 0.0
-        or p[k + _LOAD] > 0.0
-        or p[k + _POSITION] > 0.0
-        or p[k + _POSITION + 1] > 0.0
+        or speed_law(p, k, 0.0) > 0.0
+        or has_pose_law(p, k)
     )
 
 
 @inlined
 def has_bristle(j, p):
     """Whether joint j's dry friction acts through a bristle."""
-    return p[j * WIDTH + _PRESLIDING] > 0.0
+    return bristle_stiffness(p, j * WIDTH) > 0.0
 
 
 @inlined
@@ -144,9 +110,26 @@ def bristle_level(j, q, gravity, torque, qd, p):
 
 
 @inlined
+def bristle_flow(deflection, travel, yield_deflection):
+    """Deflection [rad] of a bristle after the joint has moved by `travel` [rad] (Dahl 1968).
+
+    The exact solution of z' = qd - |qd| z / zs at constant velocity. It never leaves [-zs, zs], however stiff the
+    bristle is, where an explicit step would.
+    """
+    if travel == 0.0:
+        return deflection
+    if yield_deflection <= 0.0:
+        return 0.0
+    # 1 - exp() loses digits of the share, never more than 1e-16 of the yield deflection
+    grown = 1.0 - exp(-abs(travel) / yield_deflection)
+    end = yield_deflection if travel > 0.0 else -yield_deflection
+    return deflection + (end - deflection) * grown
+
+
+@inlined
 def bristle_step(j, z, travel, level, p):
     """Deflection [rad] of joint j's bristle after `travel` [rad], and its torque [N.m]."""
-    stiffness = p[j * WIDTH + _PRESLIDING]
+    stiffness = bristle_stiffness(p, j * WIDTH)
     if stiffness == 0.0:
         return 0.0, 0.0
     z = bristle_flow(z, travel, level / stiffness)
@@ -169,18 +152,8 @@ def smooth_torques(q1, q2, q3, w1, w2, w3, p):
 
 @outlined
 def tilted_torques(q1, trig, body, p):
-    """`tilt_torques` of the plant's base."""
-    return tilt_torques(
-        p[_TILT],
-        p[_TILT + 1],
-        p[_TILT + WIDTH],
-        p[_TILT + WIDTH + 1],
-        p[_TILT + 2 * WIDTH],
-        sin(q1),
-        cos(q1),
-        trig,
-        body,
-    )
+    """Torques [N.m] of effects of the whole arm that depend on the pose, against positive motion."""
+    return arm_law(p, 0, WIDTH, q1, trig, body)
 
 
 @inlined
@@ -213,9 +186,9 @@ def effect_torques(q1, q2, q3, w1, w2, w3, t1, t2, t3, trig, body, active, p, sl
         t2 -= c2
         t3 -= c3
         if active & VARYING:
-            t1 -= s1 * stribeck_level(p, _STRIBECK, abs(w1))
-            t2 -= s2 * stribeck_level(p, WIDTH + _STRIBECK, abs(w2))
-            t3 -= s3 * stribeck_level(p, 2 * WIDTH + _STRIBECK, abs(w3))
+            t1 -= s1 * speed_law(p, 0, abs(w1))
+            t2 -= s2 * speed_law(p, WIDTH, abs(w2))
+            t3 -= s3 * speed_law(p, 2 * WIDTH, abs(w3))
         if active & POSED:
             f1, f2, f3 = pose_levels(q1, q2, q3, m1, m2, m3, trig, body, p)
             t1 -= s1 * f1
@@ -240,10 +213,5 @@ def bristle_levels(q1, q2, q3, w1, w2, w3, motors, trig, body, p):
     )
 
 
-@inlined
-def bristle_torques(z, t1, t2, t3, level, p):
-    """Deflections (z1, z2, z3) after travels t1, t2, t3 [rad], and their torques [N.m]."""
-    z1, f1 = bristle_step(0, z[0], t1, level[0], p)
-    z2, f2 = bristle_step(1, z[1], t2, level[1], p)
-    z3, f3 = bristle_step(2, z[2], t3, level[2], p)
-    return (z1, z2, z3), (f1, f2, f3)
+#: (z, t1, t2, t3, level, p) -> deflections after travels t1, t2, t3 [rad], and their torques [N.m]
+bristle_torques = deflection_torques(bristle_step)

@@ -2,10 +2,10 @@
 # Copyright the puma-sim contributors
 """One step of an arm whose links do not follow their motors exactly.
 
-A soft joint (`joint_elasticity`, `backlash`) has two rows: its rotor, a scalar with the motor, its
+A soft joint, with a spring or backlash, has two rows: its rotor, a scalar with the motor, its
 friction and the torque tau that it transmits; and its link, a row of the rigid-body equations
-that tau drives. With u(q) the output angle of the gear at the motor's angle q, equal to q without
-`transmission_error`,
+that tau drives. With u(q) the output angle of the gear at the motor's angle q, equal to q for a
+round gear,
 
     rotor, soft    J qdd = kT i - H qd - friction - u'(q) tau(u - ql, du/dt - qdl)
     links          (D + (1 - motor_share) Ia) qldd + C(qdl, qdl) + G = tau - stops
@@ -26,7 +26,6 @@ from outside. A constraint holds the motor of a soft joint, not its link.
 from __future__ import annotations
 
 from puma_sim_core.dynamics.circuit import (
-    ALGEBRAIC,
     electric_rates,
     limited_currents,
     motor_torques,
@@ -34,10 +33,21 @@ from puma_sim_core.dynamics.circuit import (
     settled_state,
 )
 from puma_sim_core.dynamics.contact import changing_step, contact_of, margin
+from puma_sim_core.dynamics.laws import (
+    ALGEBRAIC,
+    AT_REST,
+    BRISTLE,
+    CURRENT_LIMIT,
+    DRY,
+    SMOOTH,
+    TILT,
+    deflections_of,
+    with_deflections,
+    with_links,
+)
 from puma_sim_core.dynamics.rigid import NO_SLIP, STILL, library_trigonometry, remove_rows, rigid_body, solve
 from puma_sim_core.dynamics.torques import bristle_levels, bristle_torques, effect_torques, link_torque, motor_torque
-from puma_sim_core.effects import BRISTLE, CURRENT_LIMIT, DRY, SMOOTH, TILT
-from puma_sim_core.effects.transmission import (
+from puma_sim_core.effects.shared.drive_train import (
     TRAIN_WIDTH,
     gear_output,
     is_soft,
@@ -258,7 +268,7 @@ def two_mass_step(x, z, v, h, body, drive, active, p, lock, slip):
     """State and z after one classical Runge-Kutta step of h seconds, as `kernel.rk4_step`."""
     half = 0.5 * h
     y = (x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8], z[3], z[4], z[5], z[6], z[7], z[8])
-    bristles = (z[0], z[1], z[2])
+    bristles = deflections_of(z)
     bend, level = STILL, STILL
     if active & BRISTLE:
         _, bend = bristle_torques(bristles, 0.0, 0.0, 0.0, level, p)
@@ -286,7 +296,7 @@ def two_mass_step(x, z, v, h, body, drive, active, p, lock, slip):
         i1, i2, i3 = settled_currents(i1, i2, i3, y[3], y[4], y[5], v[0], v[1], v[2], drive, active, p)
     x = (y[0], y[1], y[2], y[3], y[4], y[5], i1, i2, i3)
     s = link_motions(x, (y[9], y[10], y[11], y[12], y[13], y[14]), p)
-    return x, (bristles[0], bristles[1], bristles[2], s[0], s[1], s[2], s[3], s[4], s[5])
+    return x, with_links(with_deflections(z, bristles), s)
 
 
 @inlined
@@ -363,7 +373,7 @@ def train_rates(x, z, v, body, drive, active, p, lock, push):
     if active & DRY:
         still, slip = motor_contact(x, z, held, body, drive, active, p, lock, STILL)
     if active & BRISTLE:
-        _, bend = bristle_torques((z[0], z[1], z[2]), 0.0, 0.0, 0.0, STILL, p)
+        _, bend = bristle_torques(deflections_of(z), 0.0, 0.0, 0.0, STILL, p)
     return rates(
         (x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8], z[3], z[4], z[5], z[6], z[7], z[8]),
         held,
@@ -401,8 +411,7 @@ def settled_links(x, body, drive, active, stiff, p, lock, push):
     k1, k2, k3 = trains(p)
     v = (0.0, 0.0, 0.0)
     stages = active & ~ALGEBRAIC
-    z = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    r = train_rates(x, z, v, body, drive, stages, stiff, lock, push)
+    r = train_rates(x, AT_REST, v, body, drive, stages, stiff, lock, push)
     a1 = link_acceleration(k1, x[0], x[3], r[3], p)
     a2 = link_acceleration(k2, x[1], x[4], r[4], p)
     a3 = link_acceleration(k3, x[2], x[5], r[5], p)

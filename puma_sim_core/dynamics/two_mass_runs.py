@@ -8,12 +8,12 @@ They are compiled by themselves, so that nobody waits for the one who does not u
 from __future__ import annotations
 
 from puma_sim_core.dynamics import runs
+from puma_sim_core.dynamics.laws import SENSED, TIMED, TWO_MASS
 from puma_sim_core.dynamics.rigid import STILL
-from puma_sim_core.dynamics.runs import ROW, SENSED, TIMED, held_rows, servo_rows, terminal_voltage
+from puma_sim_core.dynamics.runs import held_rows, servo_rows, terminal_voltage, z_in_row
 from puma_sim_core.dynamics.sensed import measured_after
 from puma_sim_core.dynamics.timed import drive_at, push_over
 from puma_sim_core.dynamics.two_mass import settled_links, train_rates, train_step, trains
-from puma_sim_core.effects.base import TWO_MASS
 from puma_sim_core.jit import compiled, inlined, interpreted
 
 
@@ -68,18 +68,7 @@ def _train_servo(
 def _train_accelerations(out, volts, times, body, drive, active, p, lock, result):
     for r in range(len(result)):
         x = (out[r, 0], out[r, 1], out[r, 2], out[r, 3], out[r, 4], out[r, 5], out[r, 6], out[r, 7], out[r, 8])
-        k = ROW + 3
-        z = (
-            out[r, 9],
-            out[r, 10],
-            out[r, 11],
-            out[r, k],
-            out[r, k + 1],
-            out[r, k + 2],
-            out[r, k + 3],
-            out[r, k + 4],
-            out[r, k + 5],
-        )
+        z = z_in_row(out, r)
         v = (
             terminal_voltage(0, volts[r][0], p),
             terminal_voltage(1, volts[r][1], p),

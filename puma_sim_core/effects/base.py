@@ -1,27 +1,43 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""What an effect is: one definition that simulating, listing and reporting share.
+"""What an effect is: the contract of every file in this folder, and a guide to writing one.
 
-An effect is something that a real drive does and the thesis's model lacks. Its family's file
-holds a `Kind` (name, parameters with units and bounds, equation, where it acts) and its law, a
-scalar function that the kernel calls. The parameters of all effects of a plant are packed into
-one flat table, joint by joint: the first parameter of a kind, for joint j = 0, 1, 2, stands at
-``j * WIDTH + kind.slot``, the next ones behind it. A table without an effect holds its neutral
-values, so that kinds can share a stage of the kernel.
+An effect is something that a real drive does and the thesis's model lacks. One file holds all of it: a module with a
+`Kind` named ``EFFECT``. The kernel, the screening of logs, the voltages of known effects, lists, reports and the
+documentation are derived from the registry of these.
+
+To add one:
+
+1. Write a file with the law: a scalar function of the effect's parameters ``p[k], p[k + 1], ...`` and of what its
+   `Point` passes it, decorated with `jit.inlined`. It must cost nothing and give 0 where its parameters are neutral.
+2. Put it in ``EFFECT = Kind(...)``: name, equation, one sentence, parameters with unit and bounds, and its ``laws``.
+   The points say where a law acts and how the laws of several effects are combined.
+3. A law with a memory is a `Memory`: its deflection follows the travel of the joint.
+4. To be found in logs it needs a `Screening`: regressors of the voltage that it costs, a prior of their coefficients,
+   and plausible sizes. Most regressors are one line with the helpers of `effects.shared.columns`.
+5. `look_alikes` names what it may be mistaken for, with the sentence that tells the two apart, in both directions.
+6. In this folder the file is found by itself. From outside the package, name it by ``--effects FILE``, by the
+   environment variable PUMA_SIM_EFFECTS, or by an entry point of the group ``puma_sim.effects``.
+
+The parameters of all effects of a plant are packed into one flat table, joint by joint: those of an effect on joint
+j = 0, 1, 2 begin at ``j * WIDTH + place``. A table without an effect holds its neutral values.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import Enum, IntFlag
 from math import isfinite
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from puma_sim_core.errors import ParameterError
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from puma_sim_core.arm.parameters import ArmParameters
-    from puma_sim_core.effects.screening import Screening
+    from puma_sim_core.effects.screening import Screening, Signals
 
 #: where an effect acts
 VOLTAGE, CURRENT, TORQUE, TRANSMISSION, LOAD, SENSING = (
@@ -33,27 +49,160 @@ VOLTAGE, CURRENT, TORQUE, TRANSMISSION, LOAD, SENSING = (
     "sensing",
 )
 
-#: stages of the kernel that cost nothing while no effect of the plant needs them (a bit mask)
-SMOOTH, DRY, VARYING, BRISTLE, CURRENT_LIMIT = 1, 2, 4, 8, 16
-#: link and rotor are not one: the plant is stepped by `two_mass`
-TWO_MASS = 4096
-#: dry friction of a joint that depends on the pose
-POSED = 8192
-#: 32 is the kernel's LOCKED. TILT: gravity of a leaning base; TIMED: what changes with time, taken
-#: once a step; DROOP: a supply that gives way; SENSED: the measured position is not the true one;
-#: DELAYED: voltages reach the motors late
-TILT, TIMED, DROOP, SENSED, DELAYED = 64, 128, 256, 512, 1024
-#: stages that are always there: constants of the plant, the voltage at the start of a step
-ALWAYS = 0
+
+class Stage(IntFlag):
+    """Optional stages of the step: each costs nothing while no effect of the plant needs it."""
+
+    ALWAYS = 0  # constants of the plant, the voltage at the start of a step
+    SMOOTH = 1  # torques that depend on position and velocity
+    DRY = 2  # dry friction: stick and slip
+    VARYING = 4  # dry friction that depends on the speed
+    BRISTLE = 8  # torques of deflections that follow the travel of the joints
+    CURRENT_LIMIT = 16
+    LOCKED = 32  # set by the step: a joint is constrained from outside, or sticks
+    TILT = 64  # torques on all joints that depend on the pose
+    TIMED = 128  # what changes with time, taken once a step
+    DROOP = 256  # a supply that sags
+    SENSED = 512  # the measured position is not the true one
+    DELAYED = 1024  # voltages reach the motors late
+    ALGEBRAIC = 2048  # set by the plant: a motor without inductance
+    TWO_MASS = 4096  # link and rotor are not one
+    POSED = 8192  # dry friction that depends on the pose
+    MEMORY = 16384  # an effect with a deflection of its own
+
+
+class Point(Enum):
+    """Where a law acts: (arguments behind p and k, how several laws are combined, stage).
+
+    p is the packed table and k the place of the effect's first parameter in it. Units: rad, rad/s, N.m at the joint,
+    V, A, s. "sum" adds, "product" multiplies, "chain" passes the last argument on from law to law, "any" is true
+    where one law is.
+    """
+
+    #: voltage behind the amplifier's losses, for the one before
+    TERMINAL = ("v", "chain", Stage.ALWAYS)
+    #: voltage that the supply can give, for the one before; behind TERMINAL
+    SUPPLY = ("v", "chain", Stage.ALWAYS)
+    #: share of the supply that is left under the currents of all motors; of the whole arm
+    SUPPLY_SHARE = ("i1, i2, i3", "product", Stage.DROOP)
+    #: rate of a motor's current, for the one before
+    CURRENT_RATE = ("i, rate", "chain", Stage.CURRENT_LIMIT)
+    #: current within its bound, for the one before
+    CURRENT = ("i", "chain", Stage.CURRENT_LIMIT)
+    #: greatest current; the least of all holds
+    CURRENT_BOUND = ("", "least", Stage.CURRENT_LIMIT)
+    #: torque on the motor or its gear, positive against positive motion
+    MOTOR_TORQUE = ("q, qd", "sum", Stage.SMOOTH)
+    #: torque on the link, behind the gear, positive against positive motion
+    LINK_TORQUE = ("q, qd", "sum", Stage.SMOOTH)
+    #: dry friction that depends on nothing but the direction (+1, -1) of sliding
+    LEVEL = ("direction", "sum", Stage.DRY)
+    #: dry friction that depends on the speed (>= 0)
+    SPEED_LEVEL = ("speed", "sum", Stage.DRY | Stage.VARYING)
+    #: dry friction that depends on position, gravity's torque, and the motor's after viscous friction
+    POSE_LEVEL = ("q, gravity, torque", "sum", Stage.DRY | Stage.POSED)
+    #: whether there is any dry friction of the point above
+    HAS_POSE_LEVEL = ("", "any", Stage.DRY | Stage.POSED)
+    #: torque that the motor gives where a motion takes `torque` without the pose's friction; sign of the velocity
+    LOADED_TORQUE = ("gravity, sign, torque", "chain", Stage.DRY | Stage.POSED)
+    #: stiffness of the bristle that a joint's dry friction acts through [N.m/rad]
+    BRISTLE_STIFFNESS = ("", "sum", Stage.BRISTLE)
+    #: torques on all three joints: (width of a joint's table, q1, trig, body) -> triple; of the whole arm
+    ARM_TORQUE = ("width, q1, trig, body", "triple", Stage.TILT)
+    #: factor of the winding's resistance at a time
+    RESISTANCE_FACTOR = ("time", "product", Stage.TIMED)
+    #: factor of viscous friction at a time
+    VISCOUS_FACTOR = ("time", "product", Stage.TIMED)
+    #: torque from outside in the direction of +q: mean from `time` on over `step`, the value for step 0
+    PUSH = ("time, step", "sum", Stage.TIMED)
+    #: constant that the sensor adds to the position
+    SENSOR_OFFSET = ("", "sum", Stage.SENSED)
+    #: what else the sensor adds to the position
+    SENSOR_ERROR = ("q", "sum", Stage.SENSED)
+    #: what the sensor adds to a unit of velocity
+    SENSOR_SLOPE = ("q", "sum", Stage.SENSED)
+    #: time constant of the sensor
+    SENSOR_LAG = ("", "sum", Stage.SENSED)
+    #: time by which voltages reach the motors late; of the whole arm
+    DELAY = ("", "sum", Stage.DELAYED)
+
+    def __init__(self, arguments: str, combined: str, stage: Stage):
+        # equal values would make members aliases of one another
+        self.arguments, self.combined, self.stage = arguments, combined, stage
+
+    def __new__(cls, *value: Any) -> Point:
+        member = object.__new__(cls)
+        member._value_ = len(cls.__members__)
+        return member
+
+
+class Law(NamedTuple):
+    """A function at a point; `order` sorts the laws of a point before the order of effects does."""
+
+    point: Point
+    function: Callable[..., Any]
+    order: int = 0
+
+
+class Memory(NamedTuple):
+    """A deflection [rad] of a joint that follows its travel, and its torque.
+
+    follow : (p, k, deflection, travel) -> deflection after the joint has moved by `travel` [rad], exact for a
+        constant velocity; torque : (p, k, deflection) -> torque [N.m], positive against positive motion.
+    """
+
+    follow: Callable[..., Any]
+    torque: Callable[..., Any]
+
+
+class Train(NamedTuple):
+    """What an effect makes of a joint's drive train.
+
+    spring : (stiffness [N.m/rad], damping [N.m.s/rad]) in series with others, or None; gap [rad]; motor_share: part
+    of the motor's inertia that turns with the rotor; wave : (amplitude [rad], periods a turn, phase [rad]) of the
+    gear's error.
+    """
+
+    spring: tuple[float, float] | None = None
+    gap: float = 0.0
+    motor_share: float | None = None
+    wave: tuple[float, float, float] | None = None
+
+
+class Needs(NamedTuple):
+    """What a mechanism must have for an effect to mean something: `what` is one of SEVERAL_JOINTS, ROTOR_INERTIA and
+    VOLTAGE_DRIVE; `expected` ends the error otherwise."""
+
+    what: str
+    expected: str
+
+
+SEVERAL_JOINTS, ROTOR_INERTIA, VOLTAGE_DRIVE = "several joints", "rotor inertia", "motor on voltage"
+
+
+class Role(Enum):
+    """What a parameter says of its effect."""
+
+    SIZE = "how much"
+    RATE = "how fast or how stiff; machines have no less than its least plausible value"
+    PLACE = "where, when, or how long"
+    STRUCTURE = "given by the construction: a fit leaves it alone"
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of a kind: ``low <= value <= high`` in ``unit``.
+    """One parameter of an effect: ``low <= value <= high`` in ``unit``.
 
-    ``neutral`` is the value that makes the effect vanish. Where the user gives no value,
-    ``default`` is taken, or ``from_arm(arm, joint)`` when the effect meets its arm; without
-    either the parameter must be given.
+    neutral : the value that makes the effect vanish.
+    default : taken where the user gives no value, or ``from_arm(arm, joint)`` when the effect meets its arm; without
+        either the parameter must be given.
+    role : what it says of the effect.
+    plausible : (low, high) on a machine; beyond them it is no name.
+    prior : (median, factor of one standard deviation) where a log may tell little about it.
+    logarithmic : a fit moves its logarithm.
+    step : how far it must move to matter, or the parameter that says so; None: by unit and value.
+    inverse : more of it means less of the effect.
+    softened_by : a stiffness [N.m/rad] by which its edge is soft.
     """
 
     name: str
@@ -64,47 +213,138 @@ class Parameter:
     neutral: float = 0.0
     default: float | None = None
     from_arm: Callable[[ArmParameters, int | None], float] | None = None
+    role: Role = Role.SIZE
+    plausible: tuple[float, float] | None = None
+    prior: tuple[float, float] | None = None
+    logarithmic: bool = False
+    step: float | str | None = None
+    inverse: bool = False
+    softened_by: str | None = None
+
+
+class LookAlike(NamedTuple):
+    """Another effect that may be mistaken for this one.
+
+    mine : what tells this effect from the other, its : what tells the other from this one.
+    """
+
+    other: str
+    mine: str
+    its: str
 
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of effect.
+    """An effect of the library; `Effect` is one with values on a joint.
 
     Attributes
     ----------
-    name : the name in code, in files and in reports.
+    name : the name in code, in files and in reports; that of its file.
+    order : position in lists and reports.
     acts : one of VOLTAGE, CURRENT, TORQUE, TRANSMISSION, LOAD, SENSING.
-    stage : the stage of the kernel that must run when the effect is on.
     equation : the law, as text.
     sentence : one sentence for a person, what it is and how it shows.
     parameters : in the order of the table.
+    laws, memory : what the kernel sums.
     per_joint : False for an effect of the whole arm; such a one carries no joint.
-    load : for LOAD, a function (arm, values) -> arm with the load attached.
     check : what the values must be together, as (values) -> text of what was expected, or None.
+    load : for LOAD, a function (arm, values) -> arm with the load attached.
+    constants : (arm, values) -> the numbers that stand in the table in place of the parameters, for ARM_TORQUE.
+    train : (values) -> what it makes of the joint's drive train.
+    stiffening : (values) -> (stiffness, damping) that a soft drive train swings against.
+    vanishes : (values) -> whether it leaves link and motor one.
+    known_voltage : (signals, joint, values, torque (n, J)) -> {joint: (n,) V}: the voltage that it makes along a
+        measured motion, where that does not follow from its laws.
     screening : how it is found in a measured log; None where it is only simulated.
+    look_alikes, contains : what it may be mistaken for, and the special cases that it includes, for effects that
+        `relations` does not list.
+    drawn_against : signals that a report draws its residual against, the first one that there is.
+    directed : the residual is drawn times the direction of motion.
+    needs : what a mechanism must have.
+    feigned : feedback in a recording makes it out of noise.
+    repeatable : a motion can bring it about again.
+    fine : regressors need a fine step.
+    shifts_zero : its size is a wrong zero of the joint's sensor.
+    example : as on a command line.
     """
 
     name: str
     acts: str
-    stage: int
     equation: str
     sentence: str
     parameters: tuple[Parameter, ...]
+    order: int = 1000
+    laws: tuple[Law, ...] = ()
+    memory: Memory | None = None
     per_joint: bool = True
-    load: Callable[[ArmParameters, dict[str, float]], ArmParameters] | None = None
     check: Callable[[dict[str, float]], str | None] | None = None
+    load: Callable[[ArmParameters, dict[str, float]], ArmParameters] | None = None
+    constants: Callable[[ArmParameters, dict[str, float]], Sequence[float]] | None = None
+    train: Callable[[dict[str, float]], Train] | None = None
+    stiffening: Callable[[dict[str, float]], tuple[float, float]] | None = None
+    vanishes: Callable[[dict[str, float]], bool] | None = None
+    known_voltage: Callable[[Signals, int, Mapping[str, float], np.ndarray], dict[int, np.ndarray]] | None = None
     screening: Screening | None = None
+    look_alikes: tuple[LookAlike, ...] = ()
+    contains: tuple[str, ...] = ()
+    drawn_against: tuple[str, ...] = ()
+    directed: bool = False
+    needs: Needs | None = None
+    feigned: bool = False
+    repeatable: bool = True
+    fine: bool = False
+    shifts_zero: bool = False
+    example: str = ""
 
-    def __reduce_ex__(self, protocol):
+    @property
+    def stage(self) -> int:
+        """Stages of the step that must run when the effect is on."""
+        mask = Stage.ALWAYS
+        for law in self.laws:
+            mask |= law.point.stage
+        if any(law.point is Point.BRISTLE_STIFFNESS for law in self.laws):
+            mask = Stage.BRISTLE  # its dry friction is part of the bristle
+        if self.memory is not None:
+            mask |= Stage.BRISTLE | Stage.MEMORY
+        if self.train is not None:
+            mask |= Stage.TWO_MASS
+        return int(mask)
+
+    @property
+    def has_bristle(self) -> bool:
+        """Whether the joint's dry friction acts through it, and neither sticks nor slips."""
+        return any(law.point is Point.BRISTLE_STIFFNESS for law in self.laws)
+
+    @property
+    def two_masses(self) -> bool:
+        """Whether it gives a joint two masses: a model with it takes some ten times as long to run."""
+        values = {p.name: p.high if p.default is None else p.default for p in self.parameters}
+        return self.train is not None and self.train(values).spring is not None
+
+    @property
+    def plausible(self) -> tuple[tuple[str, float, float], ...]:
+        """(parameter, low, high) of plausible sizes; the one that detectability is told by stands first."""
+        main = self.screening.size if self.screening is not None else None
+        listed = sorted(self.parameters, key=lambda p: p.name != main)
+        return tuple((p.name, *p.plausible) for p in listed if p.plausible is not None)
+
+    def parameter(self, name: str) -> Parameter:
+        """The parameter of a name; KeyError without one."""
+        for p in self.parameters:
+            if p.name == name:
+                return p
+        raise KeyError(name)
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
         """By its name: its functions cannot go to another process."""
-        from puma_sim_core.effects import KINDS
+        from puma_sim_core.effects.registry import KINDS  # the registry is made of kinds
 
         registered = KINDS.get(self.name) is self
         return (_registered, (self.name,)) if registered else super().__reduce_ex__(protocol)
 
 
 def _registered(name: str) -> Kind:
-    from puma_sim_core.effects import KINDS
+    from puma_sim_core.effects.registry import KINDS  # the registry is made of kinds
 
     return KINDS[name]
 

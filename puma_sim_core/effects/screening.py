@@ -38,7 +38,7 @@ class Signals:
     link_inertia : diagonal of D; motor_inertia (J,): Ia; viscous (J,): H.
     volts_per_torque (J,) : k = R / (N kt); lag (J,): L/R [s]; emf (J,): ke N [V.s/rad].
     gear (J,) : N, 1 where there is none.
-    torque_scale (J,) : size of a middling friction torque, the unit of priors.
+    torque_scale (J,) : nominal friction torque, the unit of priors.
     velocity_noise (J,) : standard deviation of `velocity`.
     quantum (J,) : step of the encoder in `position`, 0.0 where none was found.
     gravity_tilt : for arms, (n, J, 2): change of gravity torque per rad of base tilt about x and y.
@@ -121,39 +121,32 @@ class Illegal(Exception):
 
 @dataclass(frozen=True)
 class Screening:
-    """How a kind is found in a log, and what may be mistaken for it.
+    """How an effect is found in a log.
 
-    candidates : (signals, joint 0-based or None for the whole arm) -> its candidates, none where
-        the log cannot show it.
-    look_alikes : (name, what tells the two apart) pairs.
+    candidates : (signals, joint 0-based or None for the whole arm) -> its candidates, none where the log cannot show
+        it.
     excitation : sentence on the motion that shows it.
-    contains : kinds that this one includes as a special case (a parsimonious name is preferred).
-    generous : share of its evidence that a kind which it contains may lack: above 0 for a kind that
-        fits whatever happened once.
-    unseen : (parameter, value) pairs from which the kind is tried in the model at a joint that is
-        far noisier than the others, though no candidate asks for it: its own knocks may be that
-        noise. Without any it is not.
-    prior : (parameter, median, factor of one deviation) of what a log may tell little about.
-    plausible : parameter -> (low, high) size on a machine; above `high` "any plausible size" ends.
-    coordinates : (values of the effect, size of a middling friction torque of its joint) -> (k, 3)
-        array: coordinates that machines have about independently of each other, the middle of each
-        and one deviation of it. By these the kind pays for its coefficients; None: by the prior
-        of its candidates.
-    usual : level [N.m] of the dry friction that it contains -> values of the effect with a shape as
-        machines have it: where the shape has come out as nothing, no slope says how fast it would
-        be, and a fit begins there again.
-    fast : its columns are made of accelerations or rates of voltage, which are noise wherever the
-        motion does not stand out of it.
+    size : parameter that detectability is told by; None: the first one with a plausible range.
+    generous : share of its evidence that a special case of it may lack: above 0 for an effect that fits whatever
+        happened once.
+    unseen : (parameter, value) pairs from which it is tried in the model at a joint that is far noisier than the
+        others, though no candidate asks for it: its own impacts may be that noise. Without any it is not.
+    coordinates : (values of the effect, nominal friction torque of its joint) -> (k, 3) array: coordinates that
+        machines have about independently of each other, the mean of each and its standard deviation. The Occam factor
+        of its coefficients is taken by these; None: by the prior of its candidates.
+    usual : level [N.m] of the dry friction that it contains -> values of the effect with a shape as machines have it:
+        where the shape has come out as nothing, no slope says how fast it would be, and a fit begins there again.
+    fitted : (names of parameters, values, lowest and highest position of the log) -> those that the log tells of.
+    fast : its columns are made of accelerations or rates of voltage, which are noise wherever the motion does not
+        stand out of it.
     """
 
     candidates: Callable[[Signals, int | None], list[Candidate]]
-    look_alikes: tuple[tuple[str, str], ...]
     excitation: str
-    contains: tuple[str, ...] = ()
+    size: str | None = None
     generous: float = 0.0
     unseen: tuple[tuple[str, float], ...] = ()
-    prior: tuple[tuple[str, float, float], ...] = ()
-    plausible: tuple[tuple[str, float, float], ...] = ()
     coordinates: Callable[[Mapping[str, float], float], np.ndarray] | None = None
     usual: Callable[[float], dict[str, float]] | None = None
+    fitted: Callable[[list[str], Mapping[str, float], float, float], list[str]] | None = None
     fast: bool = False

@@ -16,11 +16,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from puma_sim_core.arm.loads import with_point_mass
 from puma_sim_core.arm.parameters import ArmParameters, Link, Motor
 from puma_sim_core.arm.rigid_body import Lumps, lumped_constants
-from puma_sim_core.effects import Effect
-from puma_sim_core.effects.friction import VISCOUS
-from puma_sim_core.effects.load import attach_payload
+from puma_sim_core.effects import VISCOUS, Effect
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.plant.mechanism import Drive, Mechanism, MechanismParameter
 from puma_sim_core.plant.plant import Plant
@@ -216,7 +215,7 @@ class ArmMechanism(Mechanism):
 
     def payload_torque(self, theta, z: float, q, qd, qdd) -> np.ndarray:
         empty = _empty(self.arm)
-        load = attach_payload(empty, {"mass": 1.0, "x": 0.0, "y": 0.0, "z": float(z)})
+        load = with_point_mass(empty, 1.0, 0.0, 0.0, float(z))
         return lump_table(q, qd, qdd) @ _link_lumps(load)
 
     def link_jacobian(self, theta, q, qd, qdd) -> np.ndarray:

@@ -13,9 +13,9 @@ import numpy as np
 from puma_sim_core.arm.parameters import ArmParameters, smallest_eigenvalue
 from puma_sim_core.arm.rigid_body import inertia
 from puma_sim_core.effects import Effect
-from puma_sim_core.effects.friction import PRESLIDING
-from puma_sim_core.effects.stops import SOFT_STOP
-from puma_sim_core.effects.transmission import BACKLASH, ELASTICITY, TRANSMISSION_ERROR, in_series
+from puma_sim_core.effects.base import Train
+from puma_sim_core.effects.registry import vanishes
+from puma_sim_core.effects.shared.drive_train import in_series
 from puma_sim_core.errors import ParameterError
 
 #: phase of the fastest vibration in a step [rad]: RK4 then turns it by 2e-4 of itself too little
@@ -25,13 +25,6 @@ _PHASE_IN_A_STEP = 0.4
 _DECAY_IN_A_STEP = 1.0
 #: spacing of the poses that the fastest vibration is looked for at [rad]
 _POSES = 0.2
-
-
-def vanishes(effect: Effect) -> bool:
-    """Whether the effect, as it stands, leaves link and motor one: no play, no error at all."""
-    return (effect.kind is BACKLASH and effect.values["gap"] == 0.0) or (
-        effect.kind is TRANSMISSION_ERROR and effect.values["amplitude"] == 0.0
-    )
 
 
 class DriveTrains:
@@ -47,7 +40,7 @@ class DriveTrains:
     ----------
     link_arm : the arm whose motor inertias are what turns with the links alone: none where a joint
         is rigid (the rotor's is added by `two_mass`), a part where rotor and link are two masses.
-    table : numbers of `effects.transmission`, joint by joint, and the least steps in a second.
+    table : numbers of `effects.shared.drive_train`, joint by joint, and the least steps in a second.
 
     Raises
     ------
@@ -56,17 +49,21 @@ class DriveTrains:
     """
 
     def __init__(self, arm: ArmParameters, effects: Iterable[Effect], drive):
-        found = {(e.kind.name, e.joint): e.values for e in effects if not vanishes(e)}
-        self._shares = tuple(_share(found, joint) for joint in (1, 2, 3))
+        acting = [effect for effect in effects if not vanishes(effect)]
+        found = [
+            [e.kind.train(e.values) for e in acting if e.kind.train is not None and e.joint == joint]
+            for joint in (1, 2, 3)
+        ]
+        self._shares = tuple(_share(trains, joint) for joint, trains in enumerate(found, start=1))
         own = [motor.inertia for motor in arm.motors]
         remaining = [0.0 if share is None else (1.0 - share) * inertia_ for share, inertia_ in zip(self._shares, own)]
         self.link_arm = _with_inertias(arm, remaining)
         self._check(arm, own, remaining)
         trains = []
         for joint, (share, inertia_) in enumerate(zip(self._shares, own), start=1):
-            trains.append(_train(found, joint, share, inertia_))
+            trains.append(_train(found[joint - 1], joint, share, inertia_))
         self.table = [number for train in trains for number in train]
-        self.table.append(self._least_rate(arm, found, own, remaining, trains, drive))
+        self.table.append(self._least_rate(arm, acting, own, remaining, trains, drive))
 
     def _check(self, arm, own, remaining):
         if all(share is None for share in self._shares):
@@ -83,7 +80,7 @@ class DriveTrains:
                 expected="a smaller motor_share, or another parameter set",
             )
 
-    def _least_rate(self, arm, found, own, remaining, trains, drive):
+    def _least_rate(self, arm, acting, own, remaining, trains, drive):
         """Steps in a second [1/s], two digits, that hold the fastest motion of the trains."""
         soft = [j for j in range(3) if trains[j][0]]
         if not soft:
@@ -104,18 +101,19 @@ class DriveTrains:
             braking = max(braking, (viscous + kT * emf / resistance) / rotor)
             electric = max(electric, sqrt(admittance * kT * emf / rotor))
             # one of the two masses alone is never easier to move than both against each other
-            for other in (PRESLIDING, SOFT_STOP):
-                values = found.get((other.name, j + 1), {})
-                stiffness[j] += values.get("stiffness", 0.0)
-                damping[j] += values.get("damping", 0.0)
+            for effect in acting:
+                if effect.kind.stiffening is not None and effect.joint == j + 1:
+                    further = effect.kind.stiffening(effect.values)
+                    stiffness[j] += further[0]
+                    damping[j] += further[1]
         frequency = sqrt(_greatest(mobility, stiffness[soft]))
         decay = _greatest(mobility, damping[soft]) + max(braking, electric)
         return _two_digits(max(frequency / _PHASE_IN_A_STEP, decay / _DECAY_IN_A_STEP))
 
 
-def _share(found, joint):
+def _share(trains: list[Train], joint: int) -> float | None:
     """motor_share of a joint, None where it is rigid."""
-    shares = {found[name, joint]["motor_share"] for name in (ELASTICITY.name, BACKLASH.name) if (name, joint) in found}
+    shares = {train.motor_share for train in trains if train.motor_share is not None}
     if len(shares) > 1:
         raise ParameterError(
             f"motor_share {' and '.join(f'{s:g}' for s in sorted(shares))}",
@@ -125,14 +123,9 @@ def _share(found, joint):
     return shares.pop() if shares else None
 
 
-def _train(found, joint, share, motor_inertia):
-    springs = [
-        (found[name, joint]["stiffness"], found[name, joint]["damping"])
-        for name in (ELASTICITY.name, BACKLASH.name)
-        if (name, joint) in found
-    ]
-    error = found.get((TRANSMISSION_ERROR.name, joint), {})
-    wave = [error.get(name, 0.0) for name in ("amplitude", "order", "phase")]
+def _train(trains: list[Train], joint: int, share: float | None, motor_inertia: float) -> list[float]:
+    springs = [train.spring for train in trains if train.spring is not None]
+    wave = next((train.wave for train in trains if train.wave is not None), (0.0, 0.0, 0.0))
     if not springs:
         return [0.0, 0.0, 0.0, 0.0, float(motor_inertia), *wave]
     if not share * motor_inertia > 0.0:
@@ -141,7 +134,7 @@ def _train(found, joint, share, motor_inertia):
             where=f"elasticity or backlash on joint {joint}",
             expected="more than 0: the rotor moves against its link",
         )
-    gap = found.get((BACKLASH.name, joint), {}).get("gap", 0.0)
+    gap = sum(train.gap for train in trains)
     return [1.0, *in_series(springs), 0.5 * gap, float(share * motor_inertia), *wave]
 
 

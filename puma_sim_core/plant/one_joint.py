@@ -19,8 +19,8 @@ from functools import cached_property
 
 from puma_sim_core import __version__
 from puma_sim_core.arm.parameters import ArmParameters, Link, Motor
-from puma_sim_core.effects import Effect
-from puma_sim_core.effects.load import PAYLOAD
+from puma_sim_core.effects import VISCOUS, Effect, Kind
+from puma_sim_core.effects.base import ROTOR_INERTIA, SEVERAL_JOINTS, VOLTAGE_DRIVE
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.plant.mechanism import MECHANISM_FORMAT, MechanismParameter
 from puma_sim_core.plant.mechanism_file import Reader
@@ -322,15 +322,17 @@ def carrier(body: OneJoint, values: Mapping[str, float]) -> ArmParameters:
     )
 
 
-def obstacle(body: OneJoint, name: str) -> tuple[str, str] | None:
-    """Why an effect of a name has no meaning on a mechanism, and what was expected, or None."""
-    if name == "base_tilt":
-        return f"on a {body.kind}", "an arm; encoder_offset says it for one joint"
-    if name in ("joint_elasticity", "backlash") and body.values["motor_inertia"] == 0.0:
-        return f"'{body.name}' has no motor_inertia", "a rotor that can move against its link"
-    if name in ("resistance_drift", "supply_droop") and body.amplifier == "current":
-        return f"'{body.name}' has a current-controlled drive", "a motor on voltage"
-    return None
+def obstacle(body: OneJoint, kind: Kind) -> tuple[str, str] | None:
+    """Why an effect has no meaning on a mechanism, and what was expected, or None."""
+    if kind.needs is None:
+        return None
+    lacking = {
+        SEVERAL_JOINTS: (True, f"on a {body.kind}"),
+        ROTOR_INERTIA: (body.values["motor_inertia"] == 0.0, f"'{body.name}' has no motor_inertia"),
+        VOLTAGE_DRIVE: (body.amplifier == "current", f"'{body.name}' has a current-controlled drive"),
+    }
+    lacks, words = lacking[kind.needs.what]
+    return (words, kind.needs.expected) if lacks else None
 
 
 @dataclass(frozen=True)
@@ -350,14 +352,14 @@ class OneJointPlant(Plant):
     def __post_init__(self):
         for effect in self.effects:
             where, values = f"effect {effect.kind.name}", effect.on(self.arm).values
-            reason = obstacle(self.body, effect.kind.name)
+            reason = obstacle(self.body, effect.kind)
             if reason is not None:
                 raise ParameterError(reason[0], where=where, expected=reason[1])
             if effect.joint not in (None, 1):
                 raise ParameterError(
                     f"joint {effect.joint}", where=where, expected=f"joint=1: '{self.body.name}' has one joint"
                 )
-            if effect.kind is PAYLOAD and (
+            if effect.kind.load is not None and (
                 values["x"] != 0.0 or values["y"] != 0.0 or (self.body.kind == "slide" and values["z"] != 1.0)
             ):
                 raise ParameterError(
@@ -393,7 +395,7 @@ class OneJointPlant(Plant):
     @cached_property
     def viscous_friction(self) -> tuple[float, float, float]:
         own = self.body.values["viscous_friction"]
-        return (0.0, 0.0, own + sum(e.values["coefficient"] for e in self.effects if e.kind.name == "viscous_friction"))
+        return (0.0, 0.0, own + sum(e.values["coefficient"] for e in self.effects if e.kind is VISCOUS))
 
     def to_mapping(self) -> dict:
         return {

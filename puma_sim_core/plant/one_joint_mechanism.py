@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from puma_sim_core.effects import Effect
+from puma_sim_core.effects import KINDS, Effect
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.plant.mechanism import Drive, Mechanism
 from puma_sim_core.plant.one_joint import OneJoint, OneJointPlant, completed, obstacle
@@ -51,7 +51,7 @@ class OneJointMechanism(Mechanism):
         return OneJointPlant.of(self.body, self.effects + tuple(effects), values)
 
     def possible(self, name: str) -> bool:
-        return obstacle(self.body, name) is None
+        return obstacle(self.body, KINDS[name]) is None
 
     def _all(self, theta) -> dict:
         return completed(self.values(theta))

@@ -18,14 +18,12 @@ from typing import NamedTuple
 from puma_sim_core import __version__
 from puma_sim_core.arm.parameters import ArmParameters, from_mapping, load_parameters, to_mapping
 from puma_sim_core.arm.rigid_body import Lumps, lumped_constants
-from puma_sim_core.dynamics.circuit import ALGEBRAIC
-from puma_sim_core.effects import KINDS, Effect, active_stages, check_distinct, fill_arm, pack
-from puma_sim_core.effects.base import TWO_MASS
-from puma_sim_core.effects.friction import VISCOUS
-from puma_sim_core.effects.outside import BASE_TILT, tilt_constants
+from puma_sim_core.effects import KINDS, VISCOUS, Effect
+from puma_sim_core.effects.base import Stage
+from puma_sim_core.effects.registry import active_stages, check_distinct, fill_arm, pack, vanishes
 from puma_sim_core.errors import ModelError, ParameterError
 from puma_sim_core.files import read_yaml, write_yaml
-from puma_sim_core.plant.drive_train import DriveTrains, vanishes
+from puma_sim_core.plant.drive_train import DriveTrains
 
 MODEL_FORMAT = "puma-sim model 1"
 #: equation 5.2 as physics has it, F = N kt i, and as it is printed, F = kt i
@@ -67,7 +65,7 @@ class Plant:
         effects = tuple(effect.on(self.arm) for effect in self.effects)
         check_distinct(effects)
         object.__setattr__(self, "effects", effects)
-        if any(effect.kind.stage & TWO_MASS for effect in effects):
+        if any(effect.kind.stage & Stage.TWO_MASS for effect in effects):
             self.constants  # refuses shares of the motors' inertia that no arm can have
 
     @property
@@ -130,15 +128,15 @@ class Plant:
             ]
         effects = tuple(e for e in self.kernel_effects if not vanishes(e))
         active, arm, table = active_stages(effects), self.loaded_arm, pack(effects)
-        if active & TWO_MASS:
+        if active & Stage.TWO_MASS:
             trains = DriveTrains(arm, effects, drive)
             arm, table = trains.link_arm, table + trains.table
         for effect in effects:
-            if effect.kind is BASE_TILT:
-                fill_arm(table, BASE_TILT, tilt_constants(arm, **effect.values))
+            if effect.kind.constants is not None:
+                fill_arm(table, effect.kind, effect.kind.constants(arm, effect.values))
         body = Lumps(*(float(value) for value in lumped_constants(arm)))
         if not all(motor.inductance for motor in self.arm.motors):
-            active |= ALGEBRAIC
+            active |= Stage.ALGEBRAIC.value
         return KernelConstants(body, tuple(drive), active, table)
 
     def to_mapping(self) -> dict:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""Voltages on their way: what `input_delay` holds back.
+"""Voltages on their way: what a delay of the input holds back.
 
 An amplifier at the end of a delay of T seconds gets at t exactly what was asked for at t - T. T
 need be no multiple of rows or samples: a row is integrated in the pieces between the moments at
@@ -15,18 +15,20 @@ from typing import NamedTuple
 
 import numpy as np
 
+from puma_sim_core.dynamics.laws import combined
 from puma_sim_core.dynamics.runs import LATE_WIDTH
-from puma_sim_core.effects import DELAYED, slot
-from puma_sim_core.effects.amplifier import INPUT_DELAY
+from puma_sim_core.effects.base import Point, Stage
+from puma_sim_core.jit import interpreted
 from puma_sim_core.simulation.run_inputs import native, step_counts
 
+_delay = combined(Point.DELAY, interpreted)
 #: moments closer than this are one [s]
 _SAME = 1e-10
 
 
-def input_delay(active: int, table: Sequence[float]) -> float:
+def delay_of(active: int, table: Sequence[float]) -> float:
     """T [s] of a plant's stages and packed table; 0.0 without a delay."""
-    return float(table[slot(INPUT_DELAY)]) if active & DELAYED else 0.0
+    return float(_delay(table, 0)) if active & Stage.DELAYED else 0.0
 
 
 class Pieces(NamedTuple):

@@ -18,10 +18,10 @@ from typing import Protocol
 
 import numpy as np
 
+from puma_sim_core.dynamics.laws import AT_REST, SENSED
 from puma_sim_core.dynamics.runs import ROW, WIDE, WIDE_ROW
 from puma_sim_core.dynamics.servo import SERVO_WIDTH, ServoConfig, quantised
 from puma_sim_core.dynamics.two_mass_runs import run_voltages
-from puma_sim_core.effects import SENSED
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.jit import BACKEND, interpreted
 from puma_sim_core.simulation.delay import SampledDelay
@@ -186,5 +186,5 @@ def unpacked(row) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ..
     """x, z and m (see `runs`) of a row of a run's output."""
     values = tuple(row.tolist())
     if len(values) == ROW:
-        return values[:9], (*values[9:], *values[:6]), values[:3]
+        return values[:9], (*values[9:], *values[:6], *AT_REST[9:]), values[:3]
     return values[:9], (*values[9:12], *values[15:]), values[12:15]

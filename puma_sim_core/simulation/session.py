@@ -18,16 +18,16 @@ import numpy as np
 
 from puma_sim_core import __version__
 from puma_sim_core.control.controllers import load_settings, make_controller
+from puma_sim_core.dynamics.laws import AT_REST, SENSED
 from puma_sim_core.dynamics.pid import Pid
 from puma_sim_core.dynamics.runs import ROW, WIDE, WIDE_ROW, servo_memory, supply_voltages
 from puma_sim_core.dynamics.sensed import settled_positions
 from puma_sim_core.dynamics.servo import ServoConfig
 from puma_sim_core.dynamics.two_mass_runs import links_at, run_servo
-from puma_sim_core.effects import SENSED
 from puma_sim_core.errors import CommandError, ModelError, NonFiniteStateError, ParameterError, PumaSimError
 from puma_sim_core.jit import BACKEND
 from puma_sim_core.plant.plant import Plant
-from puma_sim_core.simulation.delay import NO_DELAY, SampledDelay, input_delay
+from puma_sim_core.simulation.delay import NO_DELAY, SampledDelay, delay_of
 from puma_sim_core.simulation.feedback import ControlLoop, HeldRows, unpacked
 from puma_sim_core.simulation.run_inputs import check_step, native, three
 
@@ -272,7 +272,7 @@ class Session:
         )
         width = WIDE_ROW if active & WIDE else ROW
         self._target_row = np.zeros((1, 3)) if BACKEND == "numba" else [[0.0, 0.0, 0.0]]
-        delay = input_delay(active, table)
+        delay = delay_of(active, table)
         sample = config.period if config.command_interface == "voltage" else self._h
         self._late = SampledDelay(delay, sample, self._h) if delay else None
         self._rows = HeldRows(1 if self._late is None else 2, width)
@@ -299,7 +299,7 @@ class Session:
         """Back to the initial state: motors, servo, watchdog, counters and step count too."""
         c = self.config
         self._x = (*c.initial_position, *c.initial_velocity, *c.initial_current)
-        self._z = (*_NOTHING, *links_at(self._x, 0.0, *self._kernel))
+        self._z = (*_NOTHING, *links_at(self._x, 0.0, *self._kernel), *AT_REST[9:])
         self._m = (
             settled_positions(c.initial_position, self._kernel[3]) if self._kernel[2] & SENSED else c.initial_position
         )

@@ -14,18 +14,16 @@ from math import isfinite
 
 import numpy as np
 
-from puma_sim_core.dynamics.rigid import LOCKED
+from puma_sim_core.dynamics.laws import AT_REST, DELAYED, LOCKED, SENSED, TWO_MASS
 from puma_sim_core.dynamics.runs import ROW, WIDE, WIDE_ROW, servo_memory
 from puma_sim_core.dynamics.sensed import settled_positions
 from puma_sim_core.dynamics.servo import ServoConfig
 from puma_sim_core.dynamics.two_mass_runs import accelerations, links_at, run_servo, run_voltages
-from puma_sim_core.effects import DELAYED, SENSED
-from puma_sim_core.effects.base import TWO_MASS
 from puma_sim_core.errors import LimitError, NonFiniteStateError, ParameterError
 from puma_sim_core.jit import BACKEND
 from puma_sim_core.plant.plant import Plant
 from puma_sim_core.recording.recording import Recording
-from puma_sim_core.simulation.delay import NO_DELAY, Past, SampledDelay, input_delay
+from puma_sim_core.simulation.delay import NO_DELAY, Past, SampledDelay, delay_of
 from puma_sim_core.simulation.feedback import Controller, ControlLoop, samples_per_period
 from puma_sim_core.simulation.open_circuit import enabled, opened, stretches
 from puma_sim_core.simulation.run_inputs import (
@@ -151,8 +149,8 @@ class Simulator:
     The state is taken by `reset` and moves on with each `step` and `run`. ``state`` is the tuple
     (q1, q2, q3, qd1, qd2, qd3, i1, i2, i3) of the kernel's joints (a single joint is its third), a
     triple below is a single number for a plant of one joint, ``bristles`` the deflections [rad] of
-    `presliding_friction`, ``links`` positions [rad] and velocities [rad/s] of the links, ``past``
-    the voltages that an `input_delay` still holds back, ``time`` the simulated time [s], at which
+    the bristles, ``further`` those of other effects with a memory, ``links`` positions [rad] and velocities [rad/s] of the links, ``past``
+    the voltages that a delay of the input still holds back, ``time`` the simulated time [s], at which
     effects that change with time are taken. ``link_motion`` holds the links at the rows of the last
     run, (n, 6), where they do not follow their motors (see `two_mass`), else None.
 
@@ -218,14 +216,14 @@ class Simulator:
                     )
                 start[j] = fixed
         self.state = (*position, *start, *current)
-        self.bristles = (0.0, 0.0, 0.0)
+        self.bristles, self.further = AT_REST[:3], AT_REST[9:]
         self.links = links_at(self.state, time, *self._kernel)
         self.measured = settled_positions(position, self._kernel[3])
         self.past = self._past()
         self.time = float(time)
 
     def remember(self, age, voltage) -> None:
-        """Tell an `input_delay` what was asked for before now.
+        """Tell a delay of the input what was asked for before now.
 
         age (k,) : falling [s]; voltage (k, 3) [V] or (k, 1): asked for from age[i] ago on, the
         first one since ever. Without a delay it does nothing.
@@ -235,7 +233,7 @@ class Simulator:
         self.past = self._past(age, np.hstack([padding, voltage]))
 
     def _past(self, age=(), voltage=()) -> Past:
-        return Past(input_delay(self._kernel[2], self._kernel[3]), age, voltage)
+        return Past(delay_of(self._kernel[2], self._kernel[3]), age, voltage)
 
     def step(self, voltage, duration: float = SERVO_PERIOD) -> tuple[float, ...]:
         """Hold three voltages [V] for a duration [s]; returns the new state.
@@ -299,7 +297,7 @@ class Simulator:
         setpoint : (n, 3) [rad], each held for one period [s] of `samples` servo samples, which
         are integrated in steps of at most max_step; voltage_limit : at the motors [V];
         held_voltage : what was asked for before the first sample [V], for a servo with a delay and,
-        where nothing ran before, an `input_delay`.
+        where nothing ran before, a delay of the input.
 
         Returns
         -------
@@ -398,8 +396,8 @@ class Simulator:
         return setpoint_table(setpoint, period, voltage_limit)
 
     def _beyond(self) -> tuple[float, ...]:
-        """Bristles and links, as the kernel's z."""
-        return (*self.bristles, *self.links)
+        """Bristles, links and further deflections, as the kernel's z."""
+        return (*self.bristles, *self.links, *self.further)
 
     def _seen(self) -> tuple[float, ...]:
         """Measured positions [rad]: the true ones where nothing is between."""
@@ -489,6 +487,7 @@ class Simulator:
         row = tuple(out[last].tolist())
         self.state, self.bristles = row[:9], row[9:12]
         self.measured, self.links = (row[12:15], row[15:21]) if len(row) > ROW else (row[:3], row[:6])
+        self.further = row[21:] or AT_REST[9:]
         if bad_row >= 0:
             raise NonFiniteStateError(bad_row)
 
@@ -501,7 +500,7 @@ class Simulator:
                 pieces, _ = past.arriving(np.append(time, time[-1] + 1.0), voltage)
                 acting = pieces.voltage[pieces.row[:-1]]
             accelerations(out, rows_of(acting), rows_of(time), *self._kernel, result)
-        self.link_motion = out[:, ROW + 3 :] if self._kernel[2] & TWO_MASS else None
+        self.link_motion = out[:, ROW + 3 : ROW + 9] if self._kernel[2] & TWO_MASS else None
         hidden, seen = 3 - self.plant.joints, ROW if self._kernel[2] & SENSED else 0
         recording = Recording(
             time=time,

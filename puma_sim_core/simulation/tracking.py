@@ -14,17 +14,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from puma_sim_core.dynamics.runs import DELAYED, SENSED, TWO_MASS, advance, is_finite, terminal_voltage
+from puma_sim_core.dynamics.laws import CURRENT_LIMIT, DELAYED, DRY, SENSED, TWO_MASS, WIDTH, current_bound, with_links
+from puma_sim_core.dynamics.runs import advance, is_finite, terminal_voltage
 from puma_sim_core.dynamics.two_mass_runs import train_advance
-from puma_sim_core.effects import CURRENT_LIMIT, DRY, WIDTH, slot
-from puma_sim_core.effects.amplifier import CURRENT_LIMITER
 from puma_sim_core.errors import NonFiniteStateError, ParameterError
 from puma_sim_core.jit import BACKEND, compiled, merged
 from puma_sim_core.simulation.open_circuit import enabled
 from puma_sim_core.simulation.run_inputs import native, rows_of, step_counts
 from puma_sim_core.simulation.simulator import Simulator
 
-_LIMIT = slot(CURRENT_LIMITER)
 #: share of its limit from which a current counts as held by it
 _HELD = 0.999999
 
@@ -88,9 +86,9 @@ def tracked_rows(
         d3 = 0.0 if active & DRY and x[5] == 0.0 else gain[7] * e3
         # and a current that is held at its limit stays there: moved, it could only fall
         if active & CURRENT_LIMIT:
-            a = 0.0 if abs(x[6]) >= _HELD * p[_LIMIT] else a
-            b = 0.0 if abs(x[7]) >= _HELD * p[WIDTH + _LIMIT] else b
-            c = 0.0 if abs(x[8]) >= _HELD * p[2 * WIDTH + _LIMIT] else c
+            a = 0.0 if abs(x[6]) >= _HELD * current_bound(p, 0) else a
+            b = 0.0 if abs(x[7]) >= _HELD * current_bound(p, WIDTH) else b
+            c = 0.0 if abs(x[8]) >= _HELD * current_bound(p, 2 * WIDTH) else c
         x = (
             x[0] + gain[0] * e1,
             x[1] + gain[3] * e2,
@@ -105,16 +103,8 @@ def tracked_rows(
         if active & SENSED:
             m = (m[0] + gain[0] * e1, m[1] + gain[3] * e2, m[2] + gain[6] * e3)
         if active & TWO_MASS:
-            z = (
-                z[0],
-                z[1],
-                z[2],
-                z[3] + gain[0] * e1,
-                z[4] + gain[3] * e2,
-                z[5] + gain[6] * e3,
-                z[6] + d1,
-                z[7] + d2,
-                z[8] + d3,
+            z = with_links(
+                z, (z[3] + gain[0] * e1, z[4] + gain[3] * e2, z[5] + gain[6] * e3, z[6] + d1, z[7] + d2, z[8] + d3)
             )
     return -1
 

@@ -6,8 +6,8 @@ At the start of each window the model takes over the measured state; from there 
 window it sees the voltages alone, and what it is then away from the measured positions is the
 open-loop error. A log need hold no more than voltages and positions: the velocity is then the
 slope of the positions about the row (`local_motion`), and the current that which the voltages
-before the row drive against the back-EMF (`driven_current`). The bristles of
-`presliding_friction` cannot be measured; they go on from the end of the window before.
+before the row drive against the back-EMF (`driven_current`). The deflections of
+bristles cannot be measured; they go on from the end of the window before.
 """
 
 from __future__ import annotations
@@ -17,17 +17,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from puma_sim_core.dynamics.laws import SENSED, WIDTH, combined
 from puma_sim_core.dynamics.runs import terminal_voltages
 from puma_sim_core.dynamics.sensed import true_motion
-from puma_sim_core.effects import SENSED, WIDTH, slot
-from puma_sim_core.effects.amplifier import CURRENT_LIMITER
-from puma_sim_core.effects.base import VOLTAGE
+from puma_sim_core.effects.base import VOLTAGE, Point
 from puma_sim_core.errors import NonFiniteStateError, ParameterError, RecordingError
+from puma_sim_core.jit import interpreted
 from puma_sim_core.plant.plant import Plant
 from puma_sim_core.recording.recording import GROUPS, Recording
-from puma_sim_core.simulation.delay import input_delay
+from puma_sim_core.simulation.delay import delay_of
 from puma_sim_core.simulation.simulator import Simulator, native
 
+_bound = combined(Point.CURRENT_BOUND, interpreted)
 #: half of the stretch of positions that a slope is taken from [s]: a cubic through 40 ms of a
 #: motion of 8 Hz gives its velocity to 0.3 %, and encoder counts of 1e-4 rad at 1 kHz spread it
 #: by 1 mrad/s
@@ -101,7 +102,7 @@ def driven_current(
     L di/dt + R i = V - ke N qd makes i the quasi-static (V - ke N qd) / R, averaged over the
     past with the weight e^(-s R/L): V of the rows before, exactly as they were held, and
     qd(t - s) = qd - s qdd. At the first row its own voltage stands for the past. The amplifier's
-    effects act on V, an `input_delay` on its time, a current limit on the result. A motor without
+    effects act on V, a delay of the input on its time, a current limit on the result. A motor without
     inductance has the current of the row's own voltage. voltage (n, J) [V], velocity (J) [rad/s],
     acceleration (J) [rad/s^2].
     """
@@ -109,7 +110,7 @@ def driven_current(
     motors, table = plant.arm.motors[hidden:], native(plant.constants.table)
     longest = max(m.inductance / m.resistance for m in motors)
     # what arrives now was asked for then
-    asked = time[row] - input_delay(plant.constants.active, table)
+    asked = time[row] - delay_of(plant.constants.active, table)
     if longest == 0.0:
         first = max(0, int(np.searchsorted(time, asked, side="right")) - 1)
         after = first + 1
@@ -132,7 +133,7 @@ def driven_current(
             weight[0] = 1.0 - weight[1:].sum()
             mean = weight @ held[:, j]
         current[j] = (mean - emf) / motor.resistance
-    limit = np.array([table[j * WIDTH + slot(CURRENT_LIMITER)] for j in range(hidden, 3)])
+    limit = np.array([_bound(table, j * WIDTH) for j in range(hidden, 3)])
     return np.clip(current, -limit, limit)
 
 
@@ -239,9 +240,9 @@ def _restart(simulator: Simulator, log: Recording, row: int) -> None:
         c.kind == "hold" or (c.kind == "velocity" and c.value is not None)
         for c in simulator.constraints[3 - simulator.plant.joints :]
     ]
-    bristles = simulator.bristles
+    bristles, further = simulator.bristles, simulator.further
     simulator.reset(position, np.where(own, 0.0, velocity), current, time=log.time[row])
-    simulator.bristles = bristles
+    simulator.bristles, simulator.further = bristles, further
     if simulator.plant.constants.active & SENSED:
         # behind a lag it is not what a sensor at rest there would give
         simulator.measured = tuple(np.pad(log.position[row], (3 - len(position), 0)).tolist())
@@ -249,7 +250,7 @@ def _restart(simulator: Simulator, log: Recording, row: int) -> None:
 
 
 def tell_past(simulator: Simulator, time: np.ndarray, voltage: np.ndarray, row: int) -> None:
-    """Tell the `input_delay` of a plant that starts at a row what was asked for before it."""
+    """Tell the delay of the input of a plant that starts at a row what was asked for before it."""
     delay = simulator.past.delay
     if delay > 0.0 and row > 0:
         first = max(0, int(np.searchsorted(time, time[row] - delay, side="right")) - 1)

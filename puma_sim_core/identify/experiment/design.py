@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from puma_sim_core.effects import KINDS
-from puma_sim_core.effects.columns import EXACT_TIES
+from puma_sim_core.effects.relations import EXACT_TIES
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.identify.experiment.excitation import Builder, Limits, Motion, voltages
 from puma_sim_core.identify.experiment.separation import NOISE, NUMBERS, Distance, Judge, Suspect, plant_with, play

@@ -75,7 +75,7 @@ def _can_be_shown(each, mechanism: Mechanism) -> bool:
 def _within(first, second) -> bool:
     """Whether the first is a special case of the second, on one joint: then every record that the
     first explains, the second explains as well, and the simpler name stands."""
-    return first.joint == second.joint and first.name in KINDS[second.name].screening.contains
+    return first.joint == second.joint and first.name in KINDS[second.name].contains
 
 
 def _has_columns(each, mechanism: Mechanism) -> bool:
@@ -117,7 +117,7 @@ def _made(mechanism, source, log_name: str, first: Hypothesis, second: Hypothesi
 def _told_apart(first: Hypothesis, second: Hypothesis) -> str | None:
     """What the library says of the difference, from the side of one of the two."""
     for one, other in ((first, second), (second, first)):
-        told = dict(KINDS[one.name].screening.look_alikes).get(other.name)
+        told = dict(KINDS[one.name].look_alikes).get(other.name)
         if told is not None:
             return f"of {one.name.replace('_', ' ')}, {told}"
     return None

@@ -142,12 +142,11 @@ class PredictionFit:
     def _prior(self, effect: Effect, name: str) -> tuple[float, float]:
         """How many deviations the logarithm of a parameter is off, and how many of them are one;
         zeros where nothing is known of it, as of other mechanisms than the arm."""
-        screening = effect.kind.screening
-        known = screening is not None and self.mechanism.joints == 3
-        for which, median, factor in screening.prior if known else ():
-            if which == name:
-                one = 1.0 / np.log(factor)
-                return one * np.log(max(effect.values[name], 1e-3 * median) / median), one
+        prior = effect.kind.parameter(name).prior if self.mechanism.joints == 3 else None
+        if prior is not None:
+            median, factor = prior
+            one = 1.0 / np.log(factor)
+            return one * np.log(max(effect.values[name], 1e-3 * median) / median), one
         return 0.0, 0.0
 
     def derivatives(self, point: Point, pairs, near: np.ndarray | None = None) -> np.ndarray:

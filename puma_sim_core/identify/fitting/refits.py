@@ -70,9 +70,7 @@ class Refits:
             (
                 t.fitted
                 for t in trials
-                if t.fitted is not None
-                and t.joint == trial.joint
-                and t.name in self.library[trial.name].screening.contains
+                if t.fitted is not None and t.joint == trial.joint and t.name in self.library[trial.name].contains
             ),
             key=lambda f: f.objective,
             default=None,

@@ -288,7 +288,7 @@ class Trials:
         than the arm no sizes are known, but that a wave has a length within its joint's range."""
         if not self._on_arm():
             return self._no_wave(effect)
-        for name, low, high in effect.kind.screening.plausible:
+        for name, low, high in effect.kind.plausible:
             value = effect.values.get(name)
             if value is None:
                 continue
@@ -311,7 +311,7 @@ class Trials:
     def _too_small(effect: Effect) -> str | None:
         """Why an effect is less than any machine has, if all of its sizes are."""
         found = None
-        for name, low, high in effect.kind.screening.plausible:
+        for name, low, high in effect.kind.plausible:
             if name in _NO_SIZE:
                 continue
             value = abs(effect.values.get(name, np.inf))

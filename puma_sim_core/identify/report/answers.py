@@ -165,10 +165,8 @@ def _how_sure(e: Explanation) -> str:
 
 def _richer(each, e: Explanation) -> bool:
     """Whether it is an effect that was found, with more freedom: no rival, it explains the same."""
-    screening = getattr(KINDS.get(each.name), "screening", None)
-    return screening is not None and any(
-        effect.name in screening.contains and effect.joint == each.joint for effect in e.effects
-    )
+    kind = KINDS.get(each.name)
+    return kind is not None and any(effect.name in kind.contains and effect.joint == each.joint for effect in e.effects)
 
 
 def _behind(e: Explanation, first: NamedEffect, rival) -> tuple[str, str]:

@@ -21,7 +21,7 @@ def detectable(name: str, joint: int | None, kind, pairs, threshold: float) -> D
 
     pairs : (candidate, X'PX of its columns); threshold : gain of log evidence of a name [nat].
     """
-    limits = {p: (low, high) for p, low, high in kind.screening.plausible}
+    limits = {p: (low, high) for p, low, high in kind.plausible}
     parameter = next(iter(limits), kind.parameters[0].name)
     unit = next(p.unit for p in kind.parameters if p.name == parameter)
     sizes = [_size(c, G, parameter, threshold) for c, G in pairs]

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from puma_sim_core.dynamics.laws import BRISTLE, DROOP, DRY, SENSED, SMOOTH, TILT, TIMED, VARYING, WIDTH, combined
 from puma_sim_core.dynamics.rigid import library_trigonometry
 from puma_sim_core.dynamics.runs import terminal_voltage
 from puma_sim_core.dynamics.timed import drive_at, push_over
@@ -24,16 +25,14 @@ from puma_sim_core.dynamics.torques import (
     smooth_torques,
     tilted_torques,
 )
-from puma_sim_core.effects import BRISTLE, DROOP, DRY, SENSED, SMOOTH, TILT, TIMED, VARYING, WIDTH, Effect, slot
-from puma_sim_core.effects.amplifier import CURRENT_LIMITER, SUPPLY
-from puma_sim_core.effects.columns.common import change_of_voltage, derivative, torque_volts
-from puma_sim_core.effects.columns.transmission import link_side, on_links, shaft_torque, tooth_torque
-from puma_sim_core.effects.motor import DRIFT
+from puma_sim_core.effects.base import SENSING, Effect, Point
 from puma_sim_core.effects.screening import Signals
-from puma_sim_core.jit import BACKEND, compiled
+from puma_sim_core.effects.shared.columns import torque_volts
+from puma_sim_core.jit import BACKEND, compiled, interpreted
 from puma_sim_core.plant.mechanism import Mechanism
-from puma_sim_core.simulation.delay import input_delay
+from puma_sim_core.simulation.delay import delay_of
 
+_share, _bound = (combined(point, interpreted) for point in (Point.SUPPLY_SHARE, Point.CURRENT_BOUND))
 #: share of its limit from which a current counts as held by it
 _HELD = 0.98
 
@@ -127,19 +126,14 @@ def known_voltage(mechanism: Mechanism, theta, signals: Signals) -> np.ndarray:
     body, drive, active, table = plant.constants
     p = np.array(table, dtype=float) if BACKEND == "numba" else list(map(float, table))
     if active & SENSED:
-        total += _seen_otherwise(plant.effects, signals)
+        _add(total, [e for e in plant.effects if e.kind.acts == SENSING], signals, signals.torque)
     taken = _torques(plant, signals, body, drive, active, p)[:, hidden:]
     total += np.stack([torque_volts(signals, j, taken[:, j]) for j in range(joints)], axis=1)
     torque, constants = signals.torque + taken, mechanism.drive(theta)
     current = torque * constants.volts_per_torque / constants.resistance
-    for effect in plant.effects:
-        total += _train(effect, signals)
-        if effect.kind is DRIFT:
-            j, values = effect.joint - 1, effect.values
-            grown = -values["share"] * np.expm1(-signals.time / values["time_constant"])
-            total[:, j] += grown * signals.volts_per_torque[j] * torque[:, j]
+    _add(total, [e for e in plant.effects if e.kind.acts != SENSING], signals, torque)
     total += _lost_before_the_motor(signals, current, active, p, hidden)
-    limit = np.array([p[j * WIDTH + slot(CURRENT_LIMITER)] for j in range(hidden, 3)])
+    limit = np.array([_bound(p, j * WIDTH) for j in range(hidden, 3)])
     model = _model(signals)
     remainder = signals.voltage - model - total
     held = (np.abs(current) >= _HELD * limit) & (remainder * current > 0.0)
@@ -180,7 +174,7 @@ def _torques(plant, signals: Signals, body, drive, active, p) -> np.ndarray:
 
 def _lost_before_the_motor(signals: Signals, current, active: int, p, hidden: int) -> np.ndarray:
     """(n, J) commanded less terminal voltage [V]."""
-    late = input_delay(active, p)
+    late = delay_of(active, p)
     arriving = signals.voltage
     if late > 0.0:
         arriving = np.empty_like(signals.voltage)
@@ -193,63 +187,15 @@ def _lost_before_the_motor(signals: Signals, current, active: int, p, hidden: in
     _terminal(padded if BACKEND == "numba" else padded.tolist(), p, out)
     terminal = out[:, hidden:]
     if active & DROOP:
-        drawn = np.abs(current).sum(axis=1, keepdims=True)
-        terminal = terminal * np.maximum(1.0 - p[slot(SUPPLY)] * drawn, 0.0)
+        drawn = np.pad(current, ((0, 0), (hidden, 0))).tolist()
+        terminal = terminal * np.array([[_share(p, 0, *row)] for row in drawn])
     return signals.voltage - terminal
 
 
-def _seen_otherwise(effects, signals: Signals) -> np.ndarray:
-    """(n, J) change of the model's voltage [V] by what sensors make of the positions."""
-    total = np.zeros_like(signals.position)
-    motion = (signals.position, signals.velocity, signals.acceleration)
+def _add(total: np.ndarray, effects: list[Effect], signals: Signals, torque: np.ndarray) -> None:
+    """Add to (n, J) what effects say of their voltage along the motion [V], where the laws do not."""
     for effect in effects:
-        j, values = (effect.joint or 1) - 1, effect.values
-        q, qd, qdd = (each[:, j] for each in motion)
-        if effect.kind.name == "encoder_offset":
-            change = (np.full_like(q, -values["angle"]), 0.0 * q, 0.0 * q)
-        elif effect.kind.name == "sensor_lag":
-            T = values["time_constant"]
-            change = (T * qd, T * qdd, T * derivative(qdd, signals))
-        elif effect.kind.name == "sensor_nonlinearity":
-            n = 2.0 * np.pi / values["period"]
-            angle, a = n * q + values["phase"], values["amplitude"]
-            change = (
-                -a * np.sin(angle),
-                -a * n * np.cos(angle) * qd,
-                a * n * (n * np.sin(angle) * qd**2 - np.cos(angle) * qdd),
-            )
-        else:
-            continue
-        for i, volts in change_of_voltage(signals, j, *change).items():
-            total[:, i] += volts
-    return total
-
-
-def _train(effect: Effect, signals: Signals) -> np.ndarray:
-    """(n, J) voltage [V] of a drive train that is soft or not round."""
-    total = np.zeros_like(signals.position)
-    if effect.kind.name == "transmission_error":
-        j, v = effect.joint - 1, effect.values
-        q, qd, qdd = (each[:, j] for each in (signals.position, signals.velocity, signals.acceleration))
-        n, e, angle = v["order"], v["amplitude"], v["order"] * q + v["phase"]
-        change = (
-            e * np.sin(angle),
-            e * n * np.cos(angle) * qd,
-            e * n * (np.cos(angle) * qdd - n * np.sin(angle) * qd**2),
-        )
-        found = change_of_voltage(signals, j, *change, motor=False)
-        found[j] = found[j] + torque_volts(signals, j, e * n * np.cos(angle) * signals.link_torque[:, j])
-    elif effect.kind.name in ("joint_elasticity", "backlash"):
-        j, v = effect.joint - 1, effect.values
-        inertia, torque = link_side(signals, j)
-        passed = (
-            shaft_torque(signals, torque, inertia, v["stiffness"], v["damping"])
-            if effect.kind.name == "joint_elasticity"
-            else tooth_torque(signals, torque, inertia, v["gap"], v["stiffness"], v["damping"])
-        )
-        found = on_links(signals, j, passed - torque, inertia)
-    else:
-        return total
-    for i, volts in found.items():
-        total[:, i] += volts
-    return total
+        if effect.kind.known_voltage is not None:
+            j = (effect.joint or 1) - 1
+            for i, volts in effect.kind.known_voltage(signals, j, effect.values, torque).items():
+                total[:, i] += volts

@@ -77,13 +77,13 @@ class ShortList:
         found = list(short)
         top = max((s.gain for s in short), default=0.0)
         for s in short:
-            screening = self.library[s.name].screening
-            names = list(screening.contains) if screening.generous else []
+            richer = self.library[s.name]
+            names = list(richer.contains) if richer.screening.generous else []
             if s.gain > _FAMILY * top:
                 names += [
                     name
                     for name, kind in self.library.items()
-                    if s.name in kind.screening.contains and not kind.screening.generous
+                    if s.name in kind.contains and not kind.screening.generous
                 ]
             for name in names:
                 if name in self.library and (name, s.joint) not in taken:

@@ -288,8 +288,8 @@ class Selection:
         return greatest
 
     def _parsimonious(self, best: Trial, trials) -> Trial:
-        screening = self.library[best.name].screening
-        least = max(EXACT, screening.generous) * best.gain
+        kind = self.library[best.name]
+        least = max(EXACT, kind.screening.generous) * best.gain
 
         def needless(t: Trial) -> bool:
             # what a further coefficient costs is in the gains already
@@ -297,8 +297,6 @@ class Selection:
             return t.gain > best.gain - room or best.vanishing
 
         simpler = [
-            t
-            for t in trials
-            if t.problem is None and t.joint == best.joint and t.name in screening.contains and needless(t)
+            t for t in trials if t.problem is None and t.joint == best.joint and t.name in kind.contains and needless(t)
         ]
         return max(simpler, key=lambda t: t.gain) if simpler else best

@@ -122,14 +122,14 @@ class Tidying:
 
     def _contained(self, stages, key, keys) -> list[Trial]:
         """Trials, beside the one by which an effect entered, of the kinds that it contains."""
-        stage, screening = entered(stages, key), self.library[key[0]].screening
-        if stage is None or screening.generous:
+        stage, kind = entered(stages, key), self.library[key[0]]
+        if stage is None or kind.screening.generous:
             return []
         return [
             t
             for t in stage.trials
             if t.joint == key[1]
-            and t.name in screening.contains
+            and t.name in kind.contains
             and t.key not in keys
             and t.fitted is not None
             and t.problem is None
@@ -142,7 +142,7 @@ class Tidying:
             for t in stage.trials
             if t.joint == simpler.joint
             and t.key not in keys
-            and simpler.name in self.library[t.name].screening.contains
+            and simpler.name in self.library[t.name].contains
             and t.fitted is not None
             and t.problem is None
         ]
@@ -165,7 +165,7 @@ class Tidying:
         return [
             t
             for n, t in enumerate(near)
-            if n < _RIVALS or (t.joint == key[1] and key[0] in self.library[t.name].screening.contains)
+            if n < _RIVALS or (t.joint == key[1] and key[0] in self.library[t.name].contains)
         ]
 
 

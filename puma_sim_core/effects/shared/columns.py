@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""What the columns of all families share: signs under noise, stretches, derivatives, scales."""
+"""Helpers of regressors: signs under noise, stretches of record, derivatives, scales."""
 
 from __future__ import annotations
 
@@ -233,3 +233,10 @@ def recursion(kept, gained, start):
         x = kept[i] * x + gained[i]
         out[i] = x
     return out
+
+
+def wave_motion(q, qd, qdd, number):
+    """(value, rate, acceleration) of sin(number q), and of cos(number q)."""
+    s, c = np.sin(number * q), np.cos(number * q)
+    first, second = number * qd, number**2 * qd**2
+    return ((s, c * first, number * c * qdd - s * second), (c, -s * first, -number * s * qdd - c * second))

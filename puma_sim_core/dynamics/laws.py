@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""The laws of all effects, combined point by point: what the step calls.
+
+Each function here is written out from the registry, as one would by hand: the sum of two laws is
+``f0(p, k + 12, q, qd) + f1(p, k + 31, q, qd)``. So it costs what a sum written by hand costs, compiled or not. p is
+the packed table of effects and k the place where the joint's part of it begins, 0 for laws of the whole arm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import inf
+from typing import Any
+
+from puma_sim_core.effects import registry
+from puma_sim_core.effects.base import Point, Stage
+from puma_sim_core.jit import inlined
+
+#: parameters of one joint in the packed table
+WIDTH = registry.WIDTH
+#: stages of the step, as the plain integers that compiled code takes
+SMOOTH, DRY, VARYING, POSED = Stage.SMOOTH.value, Stage.DRY.value, Stage.VARYING.value, Stage.POSED.value
+BRISTLE, TILT, TIMED, DROOP = Stage.BRISTLE.value, Stage.TILT.value, Stage.TIMED.value, Stage.DROOP.value
+CURRENT_LIMIT, LOCKED, ALGEBRAIC = Stage.CURRENT_LIMIT.value, Stage.LOCKED.value, Stage.ALGEBRAIC.value
+SENSED, DELAYED, TWO_MASS, MEMORY = (Stage.SENSED.value, Stage.DELAYED.value, Stage.TWO_MASS.value, Stage.MEMORY.value)
+
+_JOINED = {"sum": " + ", "product": " * ", "any": " or "}
+_EMPTY = {"sum": "0.0", "product": "1.0", "any": "False", "least": "inf", "triple": "(0.0, 0.0, 0.0)"}
+
+
+def written(
+    name: str, arguments: str, body: list[str], functions: dict[str, Any], jit: Callable[..., Any] = inlined
+) -> Callable[..., Any]:
+    """The inlined function of a body written as lines of source."""
+    source = f"def {name}({arguments}):\n" + "".join(f"    {line}\n" for line in body)
+    scope: dict[str, Any] = {**functions, "inf": inf}
+    exec(compile(source, f"<laws: {name}>", "exec"), scope)
+    return jit(scope[name])
+
+
+def combined(point: Point, jit: Callable[..., Any] = inlined) -> Callable[..., Any]:
+    """The laws at a point as one function of (p, k, arguments of the point).
+
+    jit : `jit.interpreted` gives the plain Python of it.
+    """
+    laws = registry.laws(point)
+    functions = {f"f{n}": function if jit is inlined else jit(function) for n, (function, _) in enumerate(laws)}
+    given = f"p, k, {point.arguments}".rstrip(", ")
+    behind = f", {point.arguments}".rstrip(", ")
+    calls = [f"f{n}(p, k + {place}{behind})" for n, (_, place) in enumerate(laws)]
+    how, name = point.combined, point.name.lower()
+    if how == "chain":
+        last = point.arguments.split(", ")[-1]
+        return written(name, given, [*(f"{last} = {call}" for call in calls), f"return {last}"], functions, jit)
+    if how == "triple":
+        body = ["t1, t2, t3 = 0.0, 0.0, 0.0"] if len(calls) != 1 else []
+        for call in calls if body else ():
+            body += [f"u1, u2, u3 = {call}", "t1, t2, t3 = t1 + u1, t2 + u2, t3 + u3"]
+        return written(name, given, [*body, "return t1, t2, t3" if body else f"return {calls[0]}"], functions, jit)
+    if how == "least":
+        value = calls[0] if calls else _EMPTY[how]
+        for call in calls[1:]:
+            value = f"min({value}, {call})"
+        return written(name, given, [f"return {value}"], functions, jit)
+    return written(name, given, [f"return {_JOINED[how].join(calls) or _EMPTY[how]}"], functions, jit)
+
+
+after_losses = combined(Point.TERMINAL)
+within_supply = combined(Point.SUPPLY)
+supply_share = combined(Point.SUPPLY_SHARE)
+bounded_rate = combined(Point.CURRENT_RATE)
+bounded_current = combined(Point.CURRENT)
+current_bound = combined(Point.CURRENT_BOUND)
+motor_law = combined(Point.MOTOR_TORQUE)
+link_law = combined(Point.LINK_TORQUE)
+level_law = combined(Point.LEVEL)
+speed_law = combined(Point.SPEED_LEVEL)
+pose_law = combined(Point.POSE_LEVEL)
+has_pose_law = combined(Point.HAS_POSE_LEVEL)
+loaded_law = combined(Point.LOADED_TORQUE)
+bristle_stiffness = combined(Point.BRISTLE_STIFFNESS)
+arm_law = combined(Point.ARM_TORQUE)
+resistance_factor = combined(Point.RESISTANCE_FACTOR)
+viscous_factor = combined(Point.VISCOUS_FACTOR)
+push_law = combined(Point.PUSH)
+sensor_offset = combined(Point.SENSOR_OFFSET)
+sensor_error = combined(Point.SENSOR_ERROR)
+sensor_slope = combined(Point.SENSOR_SLOPE)
+sensor_lag = combined(Point.SENSOR_LAG)
+delay_law = combined(Point.DELAY)
+
+#: effects with a deflection of their own; numbers of all deflections: three of the bristles, then three of each
+MEMORIES = registry.memories()
+DEFLECTIONS = 3 + 3 * len(MEMORIES)
+#: numbers of z: deflections of the bristles, positions and velocities of the links, further deflections
+Z_WIDTH = 6 + DEFLECTIONS
+
+
+def _memory_lines() -> tuple[list[str], dict[str, Any]]:
+    lines, functions = [], {}
+    for n, (follow, torque, place) in enumerate(MEMORIES):
+        functions |= {f"follow{n}": follow, f"torque{n}": torque}
+        for j in range(3):
+            k = j * WIDTH + place
+            lines.append(f"s{n}_{j} = follow{n}(p, {k}, z[{3 + 3 * n + j}], t{j + 1})")
+            lines.append(f"f{j + 1} = f{j + 1} + torque{n}(p, {k}, s{n}_{j})")
+    return lines, functions
+
+
+def deflection_torques(bristle_step: Callable[..., Any]) -> Callable[..., Any]:
+    """(z, t1, t2, t3, level, p) -> deflections after travels t [rad], and their torques [N.m].
+
+    z : deflections at the start, DEFLECTIONS numbers; level : bounds of the bristles [N.m]; bristle_step : (j, z,
+    travel, level, p) -> deflection and torque of a bristle.
+    """
+    lines, functions = _memory_lines()
+    body = [f"z{j + 1}, f{j + 1} = bristle_step({j}, z[{j}], t{j + 1}, level[{j}], p)" for j in range(3)]
+    ends = ", ".join(["z1", "z2", "z3", *(f"s{n}_{j}" for n in range(len(MEMORIES)) for j in range(3))])
+    body += [*lines, f"return ({ends}), (f1, f2, f3)"]
+    return written("deflection_torques", "z, t1, t2, t3, level, p", body, {**functions, "bristle_step": bristle_step})
+
+
+def _numbers(name: str, first: int, count: int) -> list[str]:
+    return [f"{name}[{n}]" for n in range(first, first + count)]
+
+
+#: z -> the deflections in it
+deflections_of = written(
+    "deflections_of", "z", [f"return ({', '.join(_numbers('z', 0, 3) + _numbers('z', 9, DEFLECTIONS - 3))})"], {}
+)
+#: (z, b) -> z with the deflections b
+with_deflections = written(
+    "with_deflections",
+    "z, b",
+    [f"return ({', '.join(_numbers('b', 0, 3) + _numbers('z', 3, 6) + _numbers('b', 3, DEFLECTIONS - 3))})"],
+    {},
+)
+#: (z, s) -> z with positions and velocities s of the links
+with_links = written(
+    "with_links",
+    "z, s",
+    [f"return ({', '.join(_numbers('z', 0, 3) + _numbers('s', 0, 6) + _numbers('z', 9, DEFLECTIONS - 3))})"],
+    {},
+)
+#: z of deflections that are none
+UNBENT = (0.0,) * DEFLECTIONS
+#: z of a joint at rest whose links are at 0
+AT_REST = (0.0,) * Z_WIDTH
+
+
+def row_readers(row: int) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """(out, r, active) -> deflections, and (out, r) -> z, of row r of a run.
+
+    A row holds x, the bristles, and from column `row` on, where it is wide, measured positions and the rest of z.
+    """
+    narrow = [f"out[r, {9 + n}]" for n in range(3)]
+    links = [f"out[r, {row + n}]" for n in range(3, 9)]
+    further = [f"out[r, {row + n}]" for n in range(9, Z_WIDTH)]
+    lines = [f"return ({', '.join(narrow)})"]
+    if further:
+        lines = [
+            f"if active & {MEMORY}:",
+            f"    return ({', '.join(narrow + further)})",
+            f"return ({', '.join(narrow + ['0.0'] * len(further))})",
+        ]
+    return (
+        written("deflections_in_row", "out, r, active", lines, {}),
+        written("z_in_row", "out, r", [f"return ({', '.join(narrow + links + further)})"], {}),
+    )

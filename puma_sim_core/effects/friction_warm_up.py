@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""Viscous friction that falls as grease gets warm."""
+
+from __future__ import annotations
+
+from math import exp
+from typing import TYPE_CHECKING
+
+from puma_sim_core.effects.base import TORQUE, Kind, Law, Parameter, Point, Role
+from puma_sim_core.effects.screening import TORQUE_COLUMN, Candidate, Screening, Signals
+from puma_sim_core.effects.shared.columns import moves, positive, warming
+from puma_sim_core.jit import inlined
+
+if TYPE_CHECKING:
+    pass
+
+#: share of the viscous friction lost that a fit may start from
+_MOST_WARMED = 0.9
+
+
+@inlined
+def warmed_share(p, k, time):
+    """Share of the viscous friction that is left after `time` [s]; all of it before 0."""
+    return 1.0 - p[k] * (1.0 - exp(-max(time, 0.0) / p[k + 1]))
+
+
+def warm_up(signals: Signals, joint: int) -> list[Candidate]:
+    """-H qd (1 - exp(-t/T)) for a grid of T; the coefficient is the share of H that is lost."""
+    if not moves(signals, joint) or signals.viscous[joint] == 0.0:
+        return []
+
+    def values(c, T):
+        # the share is of a friction that was retuned without the effect: it may be too low by half
+        share = positive(c[0], "lost share of viscous friction", "", 4.0)
+        return {"share": min(share, _MOST_WARMED), "time_constant": T}
+
+    column = -signals.viscous[joint] * signals.velocity[:, joint]
+    return warming(signals, joint, column, values, [0.4], [0.3], TORQUE_COLUMN)
+
+
+EFFECT = Kind(
+    name="friction_warm_up",
+    order=90,
+    acts=TORQUE,
+    equation="H(t) = H (1 - share (1 - exp(-t/T))), H of viscous_friction",
+    sentence="The joint's viscous friction falls as its grease gets warm; at time 0 it is cold.",
+    parameters=(
+        Parameter("share", "1", 0.0, 1.0, "part of H that is lost in the end", plausible=(0.1, 0.9)),
+        Parameter(
+            "time_constant", "s", 0.01, 1e5, "T", neutral=1.0, role=Role.RATE, plausible=(1.0, 2000.0), logarithmic=True
+        ),
+    ),
+    laws=(Law(Point.VISCOUS_FACTOR, warmed_share),),
+    screening=Screening(warm_up, excitation="The same fast motion at the beginning and at the end."),
+    drawn_against=("time",),
+    example="friction_warm_up:joint=1,share=0.4,time_constant=60",
+)

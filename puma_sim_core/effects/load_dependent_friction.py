@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""Dry friction of the gears that grows with their load."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from puma_sim_core.effects.base import TORQUE, Kind, Law, Parameter, Point, Role
+from puma_sim_core.effects.screening import Candidate, Screening, Signals
+from puma_sim_core.effects.shared.columns import candidate, is_arm, motor_torque, moves, on_joint, positive
+from puma_sim_core.effects.shared.dry_friction import direction_of
+from puma_sim_core.jit import inlined
+
+if TYPE_CHECKING:
+    pass
+
+#: greatest share of the load that a gear takes
+_GREATEST_COEFFICIENT = 0.5
+
+#: what the load of a gear may be: the weight alone, or the torque that it transmits
+_TRANSMITTED = (0.0, 1.0)
+
+#: least share of its torque that a gear passes on when it drives; with less it would block
+_LEAST_SHARE = 0.02
+
+
+@inlined
+def load_level(p, k, q, gravity, torque):
+    """Level [N.m] where the joint bears the gravity torque `gravity` [N.m] and its motor gives
+    `torque` [N.m], its viscous friction taken off."""
+    if p[k + 1] == 0.0:
+        return p[k] * abs(gravity)
+    return p[k] * abs(gravity + p[k + 1] * (torque - gravity))
+
+
+@inlined
+def loaded_torque(p, k, gravity, sign, torque):
+    """Torque [N.m] of a motor that gives `torque` and, on top, what this friction takes of it.
+
+    sign : of the velocity, -1..1. The friction loads the gear that it is made by: the load u is
+    c + s |u| with c that of `torque`, s = sign mu a, |s| < 1, so that |u| = |c| / (1 - s sgn c).
+    """
+    load = gravity + p[k + 1] * (torque - gravity)
+    own = sign * p[k]
+    share = 1.0 - p[k + 1] * (own if load > 0.0 else -own)
+    return torque + own * abs(load) / max(share, _LEAST_SHARE)
+
+
+@inlined
+def has_load_level(p, k):
+    """Whether there is any."""
+    return p[k] > 0.0
+
+
+def load_dependent(signals: Signals, joint: int) -> list[Candidate]:
+    """|load| sgn(qd), the load the torque of gravity or of the motor; the coefficient is mu."""
+    if not moves(signals, joint):
+        return []
+    direction, found = direction_of(signals, joint), []
+    # small servos have gears that pass on less than half
+    most = _GREATEST_COEFFICIENT if is_arm(signals) else 1.0
+    for share in _TRANSMITTED:
+        load = transmitted_load(signals, joint, share)
+        if np.abs(load).max() < 0.02 * signals.torque_scale[joint]:
+            continue
+
+        def values(c, share=share):
+            return {"coefficient": positive(c[0], "coefficient of load friction", "", most), "transmitted": share}
+
+        found.append(candidate(on_joint(joint, np.abs(load) * direction), [0.1], [0.1], values, {"transmitted": share}))
+    return found
+
+
+def transmitted_load(signals: Signals, joint: int, share: float) -> np.ndarray:
+    """Load (n,) [N.m] of a joint's gear: `share` of the motor's torque, the rest gravity's."""
+    gravity = signals.gravity_torque[:, joint]
+    if share == 0.0:
+        return gravity
+    return gravity + share * (motor_torque(signals, joint) - gravity)
+
+
+EFFECT = Kind(
+    name="load_dependent_friction",
+    order=70,
+    acts=TORQUE,
+    equation="tau = mu |G(q) + a (T - G(q))| sgn(qd), T = N kt i - H qd what the motor gives; at "
+    "rest any torque up to that level is held",
+    sentence="Dry friction of the gears that grows with the load they carry: the weight of the "
+    "pose (a = 0), the torque that they transmit (a = 1), or a mean of the two.",
+    parameters=(
+        Parameter("coefficient", "1", 0.0, 1.0, "mu, of the load", plausible=(0.02, 0.3)),
+        Parameter(
+            "transmitted",
+            "1",
+            0.0,
+            1.0,
+            "a, share of the motor's torque in the load, of gravity's the rest",
+            default=0.0,
+            role=Role.STRUCTURE,
+        ),
+    ),
+    laws=(
+        Law(Point.POSE_LEVEL, load_level),
+        Law(Point.HAS_POSE_LEVEL, has_load_level),
+        Law(Point.LOADED_TORQUE, loaded_torque),
+    ),
+    directed=True,
+    screening=Screening(
+        load_dependent,
+        excitation="Reversals in many poses and at several accelerations, so that the torque that "
+        "the gear bears differs between them.",
+    ),
+    drawn_against=("gravity_torque", "link_torque", "torque"),
+    example="load_dependent_friction:joint=2,coefficient=0.1",
+)

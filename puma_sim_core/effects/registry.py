@@ -1,0 +1,262 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""The registry of effects: those of this folder, and users' own from entry points and files.
+
+It is complete before the kernel is built from it: a user's own effects come from entry points of the group
+``puma_sim.effects``, from the files that the environment variable PUMA_SIM_EFFECTS names (separated as PATH is), or
+from `load_effects`, called before anything is simulated.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import os
+import pkgutil
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+from puma_sim_core.effects.base import Effect, Kind, LookAlike, Point, Stage
+from puma_sim_core.effects.relations import CONTAINS, LOOK_ALIKES
+from puma_sim_core.errors import ParameterError
+from puma_sim_core.jit import add_source
+
+#: environment variable with the files of users' own effects
+VARIABLE = "PUMA_SIM_EFFECTS"
+_GROUP = "puma_sim.effects"
+_NOT_EFFECTS = ("base", "registry", "relations", "screening", "shared")
+
+
+def _own() -> Iterator[Kind]:
+    """The effects of this folder."""
+    folder = str(Path(__file__).parent)
+    for module in pkgutil.iter_modules([folder]):
+        if module.name not in _NOT_EFFECTS:
+            kind = importlib.import_module(f"puma_sim_core.effects.{module.name}").EFFECT
+            if kind.name != module.name:
+                raise ParameterError(f"effect {kind.name}", where=f"effects/{module.name}.py", expected=module.name)
+            yield kind
+
+
+def _of_file(path: str | os.PathLike[str]) -> Kind:
+    """The effect of a user's file."""
+    file = Path(path).expanduser().resolve()
+    spec = importlib.util.spec_from_file_location(f"puma_sim_effect_{file.stem}", file)
+    if spec is None or spec.loader is None or not file.is_file():
+        raise ParameterError("cannot be read", where=f"effect file {path}", expected="a Python file with EFFECT")
+    module = importlib.util.module_from_spec(spec)
+    # functions that are compiled are looked up by the name of their module
+    sys.modules[spec.name] = module
+    add_source(file)
+    try:
+        spec.loader.exec_module(module)
+    except ParameterError:
+        raise
+    except Exception as error:
+        raise ParameterError(
+            f"{type(error).__name__}: {error}", where=f"effect file {path}", expected="a file that can be imported"
+        ) from error
+    return _checked(getattr(module, "EFFECT", None), f"effect file {path}")
+
+
+def _checked(kind: Any, where: str) -> Kind:
+    if not isinstance(kind, Kind):
+        raise ParameterError(f"EFFECT is {type(kind).__name__}", where=where, expected="EFFECT = Kind(...)")
+    if not kind.name.isidentifier() or not kind.parameters:
+        raise ParameterError(f"name '{kind.name}'", where=where, expected="an identifier, and at least one parameter")
+    points = {law.point for law in kind.laws}
+    if kind.per_joint and points & {Point.ARM_TORQUE, Point.SUPPLY_SHARE, Point.DELAY}:
+        raise ParameterError("a law of the whole arm", where=where, expected="per_joint=False with it")
+    return kind
+
+
+def _of_entry_points() -> Iterator[Kind]:
+    for entry in entry_points(group=_GROUP):
+        try:
+            found = entry.load()
+        except Exception as error:
+            raise ParameterError(
+                f"{type(error).__name__}: {error}", where=f"entry point {entry.name}", expected="an importable effect"
+            ) from error
+        file = getattr(sys.modules.get(entry.module), "__file__", None)
+        if file:
+            add_source(Path(file))
+        yield _checked(getattr(found, "EFFECT", found), f"entry point {entry.name}")
+
+
+def _from_environment() -> Iterator[Kind]:
+    for path in filter(None, os.environ.get(VARIABLE, "").split(os.pathsep)):
+        yield _of_file(path)
+
+
+def _related(kinds: list[Kind]) -> dict[str, Kind]:
+    """Effects by name, in order, with the look-alikes and special cases of both sides."""
+    found: dict[str, Kind] = {}
+    for kind in sorted(kinds, key=lambda kind: kind.order):
+        if kind.name in found:
+            raise ParameterError(f"effect {kind.name} is defined twice", expected="each name once")
+        found[kind.name] = kind
+    pairs = list(LOOK_ALIKES)
+    pairs += [(kind.name, pair.other, pair.mine, pair.its) for kind in found.values() for pair in kind.look_alikes]
+    table: dict[str, list[LookAlike]] = {name: [] for name in found}
+    for one, other, mine, its in dict.fromkeys(pairs):
+        if one in found and other in found:
+            table[one].append(LookAlike(other, mine, its))
+            table[other].append(LookAlike(one, its, mine))
+    return {
+        name: replace(kind, look_alikes=tuple(table[name]), contains=CONTAINS.get(name, kind.contains))
+        for name, kind in found.items()
+    }
+
+
+KINDS: dict[str, Kind] = _related([*_own(), *_of_entry_points(), *_from_environment()])
+
+_PLACES: dict[str, int] = {}
+_NEUTRAL: list[float] = []
+#: parameters of one joint in the packed table
+WIDTH = 0
+
+
+def _place() -> None:
+    global WIDTH
+    _PLACES.clear()
+    _NEUTRAL.clear()
+    for kind in KINDS.values():
+        _PLACES[kind.name] = len(_NEUTRAL)
+        _NEUTRAL.extend(p.neutral for p in kind.parameters)
+    WIDTH = len(_NEUTRAL)
+
+
+_place()
+
+
+def load_effects(paths: Iterable[str | os.PathLike[str]]) -> None:
+    """Register users' own effects from files; processes that are started from here on know them too.
+
+    Raises
+    ------
+    ParameterError : a file without a usable ``EFFECT``, a name twice, or a kernel that has been built already.
+    """
+    files = [str(Path(path).expanduser().resolve()) for path in paths]
+    if not files:
+        return
+    if "puma_sim_core.dynamics.torques" in sys.modules:
+        raise ParameterError(
+            f"effects of {', '.join(files)}", expected="to be loaded before anything is simulated: the kernel is built"
+        )
+    own = [replace(kind, look_alikes=(), contains=kind.contains) for kind in KINDS.values()]
+    stated = {kind.name: kind.look_alikes for kind in KINDS.values()}
+    known = [replace(kind, look_alikes=stated[kind.name]) for kind in own]
+    combined = _related([*known, *map(_of_file, files)])
+    KINDS.clear()
+    KINDS.update(combined)
+    _place()
+    before = os.environ.get(VARIABLE)
+    os.environ[VARIABLE] = os.pathsep.join([*([before] if before else []), *files])
+
+
+def slot(kind: Kind) -> int:
+    """Place of the first parameter of `kind` among the parameters of a joint."""
+    return _PLACES[kind.name]
+
+
+def laws(point: Point) -> list[tuple[Callable[..., Any], int]]:
+    """(function, place of its effect's first parameter) of the laws at a point, in their order."""
+    found = [
+        (law.order, n, law.function, _PLACES[kind.name])
+        for n, kind in enumerate(KINDS.values())
+        for law in kind.laws
+        if law.point is point
+    ]
+    return [(function, place) for _, _, function, place in sorted(found, key=lambda each: each[:2])]
+
+
+def memories() -> list[tuple[Callable[..., Any], Callable[..., Any], int]]:
+    """(follow, torque, place) of the effects with a deflection of their own."""
+    return [(*kind.memory, _PLACES[kind.name]) for kind in KINDS.values() if kind.memory is not None]
+
+
+def parse_effect(text: str) -> Effect:
+    """The effect written as ``name:joint=2,parameter=value,...``.
+
+    Raises
+    ------
+    ParameterError : names the part of the text that cannot be used.
+    """
+    name, _, rest = text.strip().partition(":")
+    if name not in KINDS:
+        raise ParameterError(
+            f"unknown effect '{name}'", where=f"effect '{text}'", expected=f"one of {', '.join(KINDS)}"
+        )
+    joint: int | None = None
+    values: dict[str, float] = {}
+    for item in filter(None, rest.split(",")):
+        key, equals, value = (part.strip() for part in item.partition("="))
+        if not equals or not key or not value:
+            raise ParameterError(f"'{item}'", where=f"effect '{text}'", expected="key=value")
+        if key in values or (key == "joint" and joint is not None):
+            raise ParameterError(f"'{key}' is given twice", where=f"effect '{text}'", expected="each once")
+        try:
+            if key == "joint":
+                joint = int(value)
+            else:
+                values[key] = float(value)
+        except ValueError:
+            raise ParameterError(
+                f"{key}={value}", where=f"effect '{text}'", expected="joint=1, 2 or 3" if key == "joint" else "a number"
+            ) from None
+    return Effect(KINDS[name], joint, values)
+
+
+def check_distinct(effects: Iterable[Effect]) -> None:
+    """Raise ParameterError where the same effect stands twice on one joint."""
+    seen = set()
+    for effect in effects:
+        key = (effect.kind.name, effect.joint)
+        if key in seen:
+            place = "the arm" if effect.joint is None else f"joint {effect.joint}"
+            raise ParameterError(
+                f"effect {effect.kind.name} stands twice on {place}", expected="each kind once a joint"
+            )
+        seen.add(key)
+
+
+def pack(effects: Iterable[Effect]) -> list[float]:
+    """The flat table of 3 * WIDTH parameters that the kernel reads."""
+    table = _NEUTRAL * 3
+    for effect in effects:
+        joints = (0, 1, 2) if effect.joint is None else (effect.joint - 1,)
+        for j in joints:
+            at = j * WIDTH + slot(effect.kind)
+            table[at : at + len(effect.values)] = effect.values.values()
+    return table
+
+
+def fill_arm(table: list[float], kind: Kind, numbers: Iterable[float]) -> None:
+    """Put numbers that an effect of the whole arm comes down to in its places, joint by joint, in a table of `pack`."""
+    width = len(kind.parameters)
+    for n, number in enumerate(numbers):
+        table[n // width * WIDTH + slot(kind) + n % width] = float(number)
+
+
+def vanishes(effect: Effect) -> bool:
+    """Whether the effect, as it stands, leaves link and motor one."""
+    return effect.kind.vanishes is not None and effect.kind.vanishes(effect.values)
+
+
+def active_stages(effects: Iterable[Effect]) -> int:
+    """Bit mask of the kernel's optional stages that these effects need.
+
+    A joint whose dry friction acts through a bristle never sticks and slips.
+    """
+    effects = tuple(effects)
+    bristled = {effect.joint for effect in effects if effect.kind.has_bristle}
+    mask = 0
+    for effect in effects:
+        stage = effect.kind.stage
+        mask |= stage & ~int(Stage.DRY) if effect.joint in bristled else stage
+    return mask

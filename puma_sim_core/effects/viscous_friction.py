@@ -1,0 +1,24 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""Viscous friction: the one effect that the thesis itself has, so that every mechanism has it as a parameter."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from puma_sim_core.effects.base import TORQUE, Kind, Parameter
+
+if TYPE_CHECKING:
+    pass
+
+
+EFFECT = Kind(
+    name="viscous_friction",
+    order=10,
+    acts=TORQUE,
+    equation="tau = H qd",
+    sentence="Friction that grows with the speed; in voltage it cannot be told from back-EMF.",
+    parameters=(Parameter("coefficient", "N.m.s/rad", 0.0, 500.0, "H, at the joint"),),
+    drawn_against=("velocity",),
+    example="viscous_friction:joint=2,coefficient=10",
+)

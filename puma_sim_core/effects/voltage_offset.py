@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""The amplifier loses a constant voltage."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from puma_sim_core.effects.base import VOLTAGE, Kind, Law, Parameter, Point
+from puma_sim_core.effects.screening import VOLTAGE_COLUMN, Candidate, Screening, Signals
+from puma_sim_core.effects.shared.columns import bounded, candidate, on_joint, volt_scale
+from puma_sim_core.jit import inlined
+
+if TYPE_CHECKING:
+    pass
+
+
+@inlined
+def past_offset(p, k, voltage):
+    """Voltage [V] less the constant part that is lost."""
+    return voltage - p[k]
+
+
+def offset(signals: Signals, joint: int) -> list[Candidate]:
+    """A constant; its coefficient is the offset."""
+    unit = volt_scale(signals, joint)
+
+    def values(c):
+        return {"voltage": bounded(c[0], "offset", "V", 6.0 * unit)}
+
+    return [candidate(on_joint(joint, np.ones(len(signals.time))), [0.0], [0.5 * unit], values, unit=VOLTAGE_COLUMN)]
+
+
+EFFECT = Kind(
+    name="voltage_offset",
+    order=130,
+    acts=VOLTAGE,
+    equation="V = V - c",
+    sentence="The amplifier gives a constant voltage too little, or too much.",
+    parameters=(Parameter("voltage", "V", -100.0, 100.0, "c, what is missing at the motor", plausible=(0.02, 1.0)),),
+    laws=(Law(Point.TERMINAL, past_offset),),
+    screening=Screening(offset, excitation="Any motion; both directions and many poses tell it from gravity."),
+    drawn_against=("time",),
+    example="voltage_offset:joint=2,voltage=0.3",
+)
