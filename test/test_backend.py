@@ -183,7 +183,7 @@ def test_a_change_of_any_compiled_source_is_another_cache(tmp_path, monkeypatch)
         "dynamics/runs.py",
         "dynamics/lanes.py",
         "jit.py",
-        "effects/friction.py",
+        "effects/coulomb_friction.py",
         "effects/base.py",
         "dynamics/pid.py",
         "dynamics/servo.py",
@@ -191,7 +191,7 @@ def test_a_change_of_any_compiled_source_is_another_cache(tmp_path, monkeypatch)
         with open(copy / name, "a", encoding="utf-8") as file:
             file.write("\n# changed\n")
         digests.append(backend._source_digest())
-    (copy / "effects" / "new_family.py").write_text("KINDS = ()\n")
+    (copy / "effects" / "new_effect.py").write_text("EFFECT = None\n")
     digests.append(backend._source_digest())
     assert len(set(digests)) == len(digests)
     with open(copy / "simulation" / "session.py", "a", encoding="utf-8") as file:

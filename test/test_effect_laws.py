@@ -25,8 +25,9 @@ from puma_sim_core.arm.rigid_body import (
     trace_gravity,
     trace_inertia,
 )
-from puma_sim_core.effects.friction import PRESLIDING, bristle_flow
-from puma_sim_core.effects.stops import stop_torque
+from puma_sim_core.dynamics.torques import bristle_flow
+from puma_sim_core.effects import KINDS
+from puma_sim_core.effects.soft_stop import stop_torque
 from puma_sim_core.jit import interpreted
 from puma_sim_core.plant.plant import Plant
 from puma_sim_core.simulation.simulator import SERVO_PERIOD, Constraint, Simulator
@@ -196,7 +197,7 @@ def test_stiff_bristles_tend_to_coulomb_friction():
 
 def test_the_stiffest_bristles_are_stable_at_the_servo_rate():
     # as springs they turn the joints by a radian of phase in a step
-    bound = next(p.high for p in PRESLIDING.parameters if p.name == "stiffness")
+    bound = next(p.high for p in KINDS["presliding_friction"].parameters if p.name == "stiffness")
     plant = plant_of(*[f"presliding_friction:joint={j},torque=60,stiffness={bound}" for j in (1, 2, 3)])
     simulator = Simulator(plant)
     simulator.reset((0.1, -1.2, 1.0))

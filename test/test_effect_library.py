@@ -21,7 +21,7 @@ from test_stick_slip import POSITION, EventDriven
 
 from puma_sim_core.arm.kinematics import first_derivatives
 from puma_sim_core.arm.rigid_body import arm_pseudo_inertias, arm_table, gravity_torque
-from puma_sim_core.effects.outside import pulse_torque
+from puma_sim_core.effects.impulse import pulse_torque
 from puma_sim_core.jit import interpreted
 from puma_sim_core.plant.plant import Plant
 from puma_sim_core.simulation.batch import run_batch

@@ -20,8 +20,7 @@ from scipy.integrate import solve_ivp
 from screening_support import recorded, signals_of, torque_per_ampere
 
 from puma_sim_core.effects import KINDS, Effect, parse_effect
-from puma_sim_core.effects.columns import SCREENINGS
-from puma_sim_core.identify.fitting.trials import STRUCTURAL
+from puma_sim_core.effects.base import Role
 from puma_sim_core.identify.screening.known_effects import known_voltage
 from puma_sim_core.plant.mechanism import load_mechanism
 from puma_sim_core.plant.one_joint import OneJoint, OneJointPlant
@@ -226,11 +225,20 @@ def test_a_stiff_drive_moves_as_a_rigid_one(effects, tolerance):
 # ------------------------------------------------------------------------------- nothing of it
 
 
-#: runs with the law as it stands, and with |G| alone put in its place, which must give the same
+#: runs with the law as it stands, or with |G| alone put in its place, which must give the same
 PROGRAM = """
+import sys
+from dataclasses import replace
+
 import numpy as np
-from puma_sim_core.dynamics import torques as joint_torques
-from puma_sim_core.effects import parse_effect
+from puma_sim_core.effects import KINDS, parse_effect
+from puma_sim_core.effects.base import Law, Point
+
+if sys.argv[1] == "weight":
+    name = "load_dependent_friction"
+    weight = Law(Point.POSE_LEVEL, lambda p, k, q, gravity, torque: p[k] * abs(gravity))
+    laws = tuple(weight if law.point is Point.POSE_LEVEL else law for law in KINDS[name].laws)
+    KINDS[name] = replace(KINDS[name], laws=laws)
 from puma_sim_core.plant.mechanism import load_mechanism
 from puma_sim_core.plant.plant import Plant
 from puma_sim_core.simulation.simulator import Simulator
@@ -255,16 +263,16 @@ def found():
     rows.append(simulator.run(time, volts[:, :1] / 3.0).position)
     return b"".join(row.tobytes() for row in rows)
 
-now = found()
-joint_torques.load_level = lambda p, k, gravity, torque: p[k] * abs(gravity)
-print(now == found())
+print(found().hex())
 """
 
 
 def test_without_a_share_of_the_motor_it_is_friction_by_weight_to_the_bit():
-    env = {**os.environ, "PUMA_SIM_BACKEND": "python"}
-    done = subprocess.run([sys.executable, "-c", PROGRAM], env=env, capture_output=True, text=True, timeout=300)
-    assert done.stdout.strip() == "True", done.stderr[-2000:]
+    env = {**os.environ, "PUMA_SIM_KERNEL": "python"}
+    command = [sys.executable, "-c", PROGRAM]
+    laws = [subprocess.run([*command, law], env=env, capture_output=True, text=True) for law in ("own", "weight")]
+    assert laws[0].returncode == 0 and len(laws[0].stdout) > 1000, laws[0].stderr[-2000:]
+    assert laws[0].stdout == laws[1].stdout
 
 
 def test_a_batch_gives_the_same_bits():
@@ -286,7 +294,7 @@ def test_column_is_the_torque_that_the_gear_takes(joint):
     mu = 0.13
     run = recorded(str(Effect(KINDS[NAME], joint + 1, {"coefficient": mu, "transmitted": 1.0})))
     signals = signals_of(run.time, run.voltage, run.position, run.velocity, run.acceleration)
-    found = {c.grid["transmitted"]: c for c in SCREENINGS[NAME].candidates(signals, joint)}
+    found = {c.grid["transmitted"]: c for c in KINDS[NAME].screening.candidates(signals, joint)}
     # joint 1 bears no weight
     assert set(found) == ({1.0} if joint == 0 else {0.0, 1.0})
     taken = (run.current * torque_per_ampere() - signals.torque)[:, joint]
@@ -299,7 +307,7 @@ def test_column_is_the_torque_that_the_gear_takes(joint):
     assert fits[1.0] == pytest.approx(mu, rel=0.01) and left[1.0] < 0.02
     assert left.get(0.0, 1.0) > 5.0 * left[1.0]
     assert found[1.0].values([mu]) == {"coefficient": mu, "transmitted": 1.0}
-    assert "transmitted" in STRUCTURAL
+    assert KINDS[NAME].parameter("transmitted").role is Role.STRUCTURE
 
 
 def test_known_friction_by_torque_accounts_for_its_voltage():

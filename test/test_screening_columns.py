@@ -14,8 +14,7 @@ import pytest
 from screening_support import ARM, STEP, recorded, residual, signals_of, smoothed, torque_per_ampere, volts
 
 from puma_sim_core.effects import KINDS, Effect
-from puma_sim_core.effects.columns import SCREENINGS
-from puma_sim_core.effects.columns.outside import impulse
+from puma_sim_core.effects.impulse import impulse
 from puma_sim_core.effects.screening import TORQUE_COLUMN, Illegal
 
 pytestmark = pytest.mark.long
@@ -25,7 +24,7 @@ def at(name, joint, grid):
     """Joint as the screening counts it, and the choice of the candidate nearest to `grid`."""
 
     def choose(signals):
-        found = SCREENINGS[name].candidates(signals, joint)
+        found = KINDS[name].screening.candidates(signals, joint)
         assert found, f"no candidates of {name}"
         return min(found, key=lambda c: sum(abs(np.log(c.grid[k] / v)) for k, v in grid.items()))
 
@@ -123,7 +122,7 @@ def test_column_of_a_stop_begins_at_its_place(plain, end):
     run = recorded(effect_of("soft_stop", 2, values))
     signals = as_signals(run)
     taken = (run.current * torque_per_ampere() - signals.torque)[:, 2]
-    found = [c for c in SCREENINGS["soft_stop"].candidates(signals, 2) if end in c.grid]
+    found = [c for c in KINDS["soft_stop"].screening.candidates(signals, 2) if end in c.grid]
     candidate = min(found, key=lambda c: abs(c.grid[end] - place))
     column = candidate.columns[0][2]
     stiffness = float(column @ taken / (column @ column))
@@ -137,7 +136,7 @@ def test_column_of_a_stop_begins_at_its_place(plain, end):
 def test_columns_of_a_lean_are_linear_in_it():
     run = recorded("base_tilt:x=0.01,y=-0.006")
     signals = as_signals(run)
-    (candidate,) = SCREENINGS["base_tilt"].candidates(signals, None)
+    (candidate,) = KINDS["base_tilt"].screening.candidates(signals, None)
     taken = run.current * torque_per_ampere() - signals.torque
     expected = torque(signals, candidate, [0.01, -0.006])
     assert candidate.values(np.array([0.01, -0.006])) == {"x": 0.01, "y": -0.006}
@@ -201,7 +200,7 @@ def compare(missing, expected, signals, tolerance, start=0.05):
 def test_a_limit_is_found_by_two_columns(name, joint, effect, parameter, true):
     signals = as_signals(recorded(effect))
     missing = residual(signals)
-    found = SCREENINGS[name].candidates(signals, joint)
+    found = KINDS[name].screening.candidates(signals, joint)
     results = []
     for candidate in found:
         assert candidate.fixed and candidate.mean[0] == 1.0
@@ -218,10 +217,10 @@ def test_a_limit_is_found_by_two_columns(name, joint, effect, parameter, true):
 
 def test_a_delay_is_a_delay_of_the_sensor_to_first_order(plain):
     """The tie that is always reported: what a lag of all sensors and a delay do looks alike."""
-    (delay,) = (c for c in SCREENINGS["input_delay"].candidates(plain, None) if c.grid["time"] == 0.001)
+    (delay,) = (c for c in KINDS["input_delay"].screening.candidates(plain, None) if c.grid["time"] == 0.001)
     expected = smoothed(volts(plain, delay, [1.0]), plain, 6.0)[300:-300]
     for joint in range(3):
-        (lag,) = SCREENINGS["sensor_lag"].candidates(plain, joint)
+        (lag,) = KINDS["sensor_lag"].screening.candidates(plain, joint)
         column = smoothed(volts(plain, lag, [1.0]), plain, 6.0)[300:-300, joint]
         cosine = column @ expected[:, joint] / (np.linalg.norm(column) * np.linalg.norm(expected[:, joint]))
         assert cosine > 0.9
@@ -242,13 +241,13 @@ def sensed(run, joint, position, velocity, acceleration, **fields):
 def test_columns_of_an_encoder_offset(joint):
     run = recorded()
     signals = sensed(run, joint, run.position[:, joint] + 0.04, run.velocity[:, joint], run.acceleration[:, joint])
-    (candidate,) = SCREENINGS["encoder_offset"].candidates(signals, joint)
+    (candidate,) = KINDS["encoder_offset"].screening.candidates(signals, joint)
     assert candidate.values(np.array([0.04])) == {"angle": 0.04}
     compare(residual(signals), volts(signals, candidate, [0.04]), signals, 0.06)
 
 
 def test_joint_1_shows_no_offset_of_its_encoder(plain):
-    assert SCREENINGS["encoder_offset"].candidates(plain, 0) == []
+    assert KINDS["encoder_offset"].screening.candidates(plain, 0) == []
 
 
 def test_columns_of_a_sensor_that_is_not_straight(plain):
@@ -276,7 +275,7 @@ def test_column_of_a_lagging_sensor():
     run = recorded()
     motion = [lagged(v[:, joint], T) for v in (run.position, run.velocity, run.acceleration)]
     signals = sensed(run, joint, *motion)
-    (candidate,) = SCREENINGS["sensor_lag"].candidates(signals, joint)
+    (candidate,) = KINDS["sensor_lag"].screening.candidates(signals, joint)
     assert candidate.values(np.array([T])) == {"time_constant": T}
     compare(residual(signals), volts(signals, candidate, [T]), signals, 0.05)
 

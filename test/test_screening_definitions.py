@@ -11,11 +11,15 @@ import pytest
 from screening_support import DRIVE, recorded, reference, resistance, signals_of
 
 from puma_sim_core.effects import KINDS, Effect
-from puma_sim_core.effects.columns import EXACT_TIES, SCREENINGS, WHOLE_ARM, transmission
-from puma_sim_core.effects.columns.common import derivative, recursion, smooth_sign
+from puma_sim_core.effects.backlash import _knock
+from puma_sim_core.effects.joint_elasticity import _swing
+from puma_sim_core.effects.relations import CONTAINS, EXACT_TIES, LOOK_ALIKES
 from puma_sim_core.effects.screening import Illegal, Screening, Signals
+from puma_sim_core.effects.shared.columns import derivative, recursion, smooth_sign
 from puma_sim_core.jit import interpreted
 
+SCREENINGS = {name: kind.screening for name, kind in KINDS.items() if kind.screening is not None}
+WHOLE_ARM = [name for name, kind in KINDS.items() if not kind.per_joint]
 every_name = pytest.mark.parametrize("name", list(SCREENINGS))
 
 
@@ -47,32 +51,27 @@ def cut(signals: Signals, rows=slice(None), joints=None, **changes) -> Signals:
 
 def test_all_kinds_but_viscous_friction_can_be_looked_for():
     assert set(SCREENINGS) == set(KINDS) - {"viscous_friction"}
-    assert set(WHOLE_ARM) == {name for name, kind in KINDS.items() if not kind.per_joint}
-    for name, screening in SCREENINGS.items():
-        assert KINDS[name].screening is screening
 
 
 @every_name
 def test_definition_is_whole(name):
-    screening = SCREENINGS[name]
+    kind, screening = KINDS[name], SCREENINGS[name]
     assert isinstance(screening, Screening)
-    known = {p.name for p in KINDS[name].parameters}
-    assert screening.plausible and {p for p, _, _ in screening.plausible} <= known
-    assert all(0.0 <= low < high for _, low, high in screening.plausible)
-    assert screening.look_alikes and name not in {n for n, _ in screening.look_alikes}
-    assert {n for n, _ in screening.look_alikes} | set(screening.contains) <= set(SCREENINGS)
+    known = {p.name for p in kind.parameters}
+    assert kind.plausible and {p for p, _, _ in kind.plausible} <= known
+    assert all(0.0 <= low < high for _, low, high in kind.plausible)
+    assert kind.look_alikes and name not in {pair.other for pair in kind.look_alikes}
+    assert {pair.other for pair in kind.look_alikes} | set(kind.contains) <= set(SCREENINGS)
     assert screening.excitation.endswith(".")
 
 
-def test_look_alikes_know_each_other():
+def test_each_pair_of_look_alikes_stands_once_and_holds_both_ways():
     """Whoever may be mistaken for another has an answer when the other is named."""
-    missing = [
-        (other, name)
-        for name, screening in SCREENINGS.items()
-        for other, _ in screening.look_alikes
-        if name not in {n for n, _ in SCREENINGS[other].look_alikes}
-    ]
-    assert missing == []
+    pairs = [frozenset(pair[:2]) for pair in LOOK_ALIKES]
+    assert len(set(pairs)) == len(pairs) and all(len(pair) == 2 for pair in pairs)
+    for one, other, mine, its in LOOK_ALIKES:
+        assert KINDS[one].told_from(other) == mine and KINDS[other].told_from(one) == its
+    assert set(CONTAINS) <= set(KINDS) and all(set(found) <= set(KINDS) for found in CONTAINS.values())
 
 
 @every_name
@@ -180,8 +179,8 @@ def test_compiled_and_plain_python_give_the_same_bits():
     flow = 0.5 * rng.standard_normal((200, 4))
     for function, arguments in (
         (recursion, (rng.random(200), torque, 0.3)),
-        (transmission._swing, (flow, torque / 2e4, 1e-3, 2e-3, 0.1)),
-        (transmission._knock, (torque, inertia, 2e-4, 5, 5e-4, 2e5, 900.0, 4.0)),
+        (_swing, (flow, torque / 2e4, 1e-3, 2e-3, 0.1)),
+        (_knock, (torque, inertia, 2e-4, 5, 5e-4, 2e5, 900.0, 4.0)),
     ):
         assert np.array_equal(function(*arguments), interpreted(function)(*arguments))
 

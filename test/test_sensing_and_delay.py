@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from test_effect_library import HOLD, LIBRARY, START, VISCOUS
 
+from puma_sim_core.dynamics.laws import SENSED
 from puma_sim_core.dynamics.pid import Pid
 from puma_sim_core.dynamics.sensed import settled_positions, true_motion
 from puma_sim_core.dynamics.servo import ServoConfig
-from puma_sim_core.effects import SENSED
 from puma_sim_core.files import yaml_text
 from puma_sim_core.recording.bag.recorder import BagRecorder
 from puma_sim_core.simulation.replay import replay

@@ -2,9 +2,9 @@
 # Copyright the puma-sim contributors
 """Write voltages that tell two effects apart, or that show one.
 
-  puma-sim excite --separate coulomb_friction,voltage_dead_band --joint 2 --out volts.csv
-  puma-sim excite --separate payload,joint_spring@3 --seconds 20 --out volts.csv
-  puma-sim excite --plant pendulum --separate stribeck_friction --out volts.csv
+  puma-sim excite --separate ONE,OTHER --joint 2 --out volts.csv
+  puma-sim excite --separate ONE,OTHER@3 --seconds 20 --out volts.csv
+  puma-sim excite --plant pendulum --separate ONE --out volts.csv
 
 Out: columns time, voltage1..n [s, V]; the voltages of a row hold until the next row. Lines at the
 top say what it was made for, and the pose in which the machine has to start, at rest. Played in

@@ -87,7 +87,7 @@ push_law = combined(Point.PUSH)
 sensor_offset = combined(Point.SENSOR_OFFSET)
 sensor_error = combined(Point.SENSOR_ERROR)
 sensor_slope = combined(Point.SENSOR_SLOPE)
-sensor_lag = combined(Point.SENSOR_LAG)
+sensor_time = combined(Point.SENSOR_LAG)
 delay_law = combined(Point.DELAY)
 
 #: effects with a deflection of their own; numbers of all deflections: three of the bristles, then three of each

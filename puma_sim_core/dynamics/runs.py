@@ -157,7 +157,7 @@ def run_plain(x, z, volts, counts, steps, body, drive, p, out):
 def run_voltages(x, z, m, volts, times, counts, steps, body, drive, active, p, lock, out):
     """Run with voltages held row by row.
 
-    volts (n, 3) [V] as they reach the amplifiers, an `input_delay` taken out; row r is held from
+    volts (n, 3) [V] as they reach the amplifiers, a delay of the input taken out; row r is held from
     times[r] [s] for counts[r] steps of steps[r] seconds; out (n + 1, ROW or WIDE_ROW), whose row r
     is the state at the start of row r. Returns the first row that is not finite, or -1.
     """

@@ -14,7 +14,7 @@ from math import exp
 
 import numpy as np
 
-from puma_sim_core.dynamics.laws import WIDTH, combined, sensor_error, sensor_lag, sensor_offset, sensor_slope
+from puma_sim_core.dynamics.laws import WIDTH, combined, sensor_error, sensor_offset, sensor_slope, sensor_time
 from puma_sim_core.effects.base import Point
 from puma_sim_core.jit import inlined, interpreted
 
@@ -41,7 +41,7 @@ def measured_joint(j, before, q0, w0, q1, w1, step, p):
     """Measured position [rad] of joint j after a step [s] from (q0, w0) to (q1, w1)."""
     k = j * WIDTH
     return lagged_position(
-        sensor_lag(p, k),
+        sensor_time(p, k),
         before,
         q0 + sensor_offset(p, k) + sensor_error(p, k, q0),
         q1 + sensor_offset(p, k) + sensor_error(p, k, q1),

@@ -328,25 +328,16 @@ class Kind:
         listed = sorted(self.parameters, key=lambda p: p.name != main)
         return tuple((p.name, *p.plausible) for p in listed if p.plausible is not None)
 
+    def told_from(self, other: str) -> str | None:
+        """What tells this effect from a look-alike; None where the other is none."""
+        return next((pair.mine for pair in self.look_alikes if pair.other == other), None)
+
     def parameter(self, name: str) -> Parameter:
         """The parameter of a name; KeyError without one."""
         for p in self.parameters:
             if p.name == name:
                 return p
         raise KeyError(name)
-
-    def __reduce_ex__(self, protocol: Any) -> Any:
-        """By its name: its functions cannot go to another process."""
-        from puma_sim_core.effects.registry import KINDS  # the registry is made of kinds
-
-        registered = KINDS.get(self.name) is self
-        return (_registered, (self.name,)) if registered else super().__reduce_ex__(protocol)
-
-
-def _registered(name: str) -> Kind:
-    from puma_sim_core.effects.registry import KINDS  # the registry is made of kinds
-
-    return KINDS[name]
 
 
 @dataclass(frozen=True)

@@ -85,7 +85,7 @@ EFFECT = Kind(
     laws=(Law(Point.ARM_TORQUE, tilted),),
     per_joint=False,
     constants=lambda arm, values: tilt_constants(arm, **values),
-    needs=Needs(SEVERAL_JOINTS, "an arm; encoder_offset says it for one joint"),
+    needs=Needs(SEVERAL_JOINTS, "an arm; for one joint it is an offset of the encoder"),
     screening=Screening(
         base_tilt, excitation="Joint 1 over more than 120 degrees, with the arm stretched out and folded."
     ),

@@ -9,6 +9,7 @@ from `load_effects`, called before anything is simulated.
 
 from __future__ import annotations
 
+import copyreg
 import importlib
 import importlib.util
 import os
@@ -157,6 +158,15 @@ def load_effects(paths: Iterable[str | os.PathLike[str]]) -> None:
     _place()
     before = os.environ.get(VARIABLE)
     os.environ[VARIABLE] = os.pathsep.join([*([before] if before else []), *files])
+
+
+def named(name: str) -> Kind:
+    """The effect of a name."""
+    return KINDS[name]
+
+
+# by its name: its functions cannot go to another process
+copyreg.pickle(Kind, lambda kind: (named, (kind.name,)))
 
 
 def slot(kind: Kind) -> int:

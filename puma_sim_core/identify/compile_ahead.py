@@ -12,7 +12,8 @@ import sys
 
 import numpy as np
 
-from puma_sim_core.effects import parse_effect
+from puma_sim_core.effects import KINDS, parse_effect
+from puma_sim_core.effects.base import Stage
 from puma_sim_core.identify.data.ingest import Log
 from puma_sim_core.identify.data.sampling import sample
 from puma_sim_core.identify.screening.known_effects import known_voltage
@@ -21,7 +22,12 @@ from puma_sim_core.plant.mechanism import load_mechanism
 from puma_sim_core.simulation.simulator import Simulator
 from puma_sim_core.simulation.tracking import innovations
 
-_EFFECTS = ((), ("coulomb_friction:joint=2,torque=5",), ("joint_elasticity:joint=2,stiffness=2e4",))
+
+def _models() -> list[tuple[str, ...]]:
+    """Effects of a model for each part of the kernel: none, dry friction, two masses."""
+    dry = next(kind.example for kind in KINDS.values() if kind.stage == Stage.DRY)
+    soft = next(kind.example for kind in KINDS.values() if kind.two_masses)
+    return [(), (dry,), (soft,)]
 
 
 def main() -> int:
@@ -32,7 +38,7 @@ def main() -> int:
     voltage = np.zeros_like(position)
     theta = mechanism.start
     signals = Problem(sample([Log("made", time, voltage, position)]), mechanism).signals(theta)
-    for texts in _EFFECTS:
+    for texts in _models():
         plant = mechanism.plant(theta, [parse_effect(text) for text in texts])
         rows = slice(0, 4)
         innovations(Simulator(plant), time[rows], voltage[rows], position[rows], np.zeros((3, 3)))

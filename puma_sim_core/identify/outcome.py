@@ -116,7 +116,7 @@ def _named(analysis, spread) -> tuple[NamedEffect, ...]:
             else:
                 out.append(RuledOut(t.name, t.joint, _because(key[0], t, own)))
         seen = {(t.name, t.joint) for t in stage.trials}
-        for other, text in effect.kind.look_alikes:
+        for other, text, _ in effect.kind.look_alikes:
             joint = key[1] if other in KINDS and KINDS[other].per_joint else None
             if other in KINDS and (other, joint) not in seen and (other, joint) not in s.keys:
                 out.append(RuledOut(other, joint, f"the screening gave it no evidence; {text}"))
@@ -133,7 +133,7 @@ def _asked(effect, name) -> bool:
 def _because(named: str, trial, best) -> str:
     if trial.problem is not None:
         return trial.problem
-    text = dict(KINDS[named].look_alikes).get(trial.name)
+    text = KINDS[named].told_from(trial.name)
     lower = f"its evidence is lower by {best.gain - trial.gain:.0f} nat"
     return f"{lower}: {text}" if text else lower
 

@@ -155,7 +155,7 @@ class Mechanism(ABC):
         """(n, J, J) D of the links."""
 
     def gravity_tilt(self, theta, q) -> np.ndarray | None:
-        """(n, J, 2) change of G per rad of base tilt x and y, or None (see `base_tilt`)."""
+        """(n, J, 2) change of G per rad of tilt of the base about x and y, or None."""
         return None
 
     def payload_torque(self, theta, z: float, q, qd, qdd) -> np.ndarray | None:

@@ -69,7 +69,7 @@ class ControlLoop:
     voltage_limit : at the motor [V]; gear_ratios : of the three joints, for the encoders.
     kernel : (body, drive, active, table, lock), as the kernel takes them.
 
-    ``late`` is the plant's `input_delay`, None without one.
+    ``late`` is the delay of the plant's input, None without one.
     """
 
     def __init__(

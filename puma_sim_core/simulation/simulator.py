@@ -96,7 +96,7 @@ class Limits:
 
     position ((low, high) x 3) [rad], velocity (3) [rad/s], acceleration (3) [rad/s^2]; None
     leaves a quantity unchecked; unit: "m" in place of "rad" for a slide. Limits stop nothing: a
-    stop that acts is the effect `soft_stop`.
+    stop that acts is an effect.
     """
 
     position: tuple[tuple[float, float], ...] | None = None

@@ -12,8 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from puma_sim_core.effects import KINDS, Effect
-from puma_sim_core.effects.friction import VISCOUS
+from puma_sim_core.effects import KINDS, VISCOUS, Effect
 from puma_sim_core.errors import PumaSimError
 from puma_sim_core.identify.data.ingest import read_log
 from puma_sim_core.identify.data.sampling import sample

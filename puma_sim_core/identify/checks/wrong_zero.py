@@ -22,9 +22,9 @@ def wrong_zeros(stages) -> list[Fault]:
         best = max((t.gain for t in stage.trials if t.problem is None), default=0.0)
         for trial in stage.trials:
             if (
-                trial.name == "encoder_offset"
+                trial.fitted is not None
+                and trial.fitted.point.effects[-1].kind.shifts_zero
                 and trial.problem is not None
-                and trial.fitted is not None
                 and trial.gain > max(best, stage.needed(trial.joint)) + _CLEARER
             ):
                 angle = trial.fitted.point.effects[-1].values["angle"]

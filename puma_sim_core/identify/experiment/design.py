@@ -115,7 +115,7 @@ def _suspect(text: str, mechanism: Mechanism, joint: int | None) -> Suspect:
         raise ParameterError(
             f"has no meaning on {mechanism.name}", where=where, expected="an effect that this mechanism can have"
         )
-    if name == "impulse":
+    if not kind.repeatable:
         raise ParameterError(
             "cannot be brought about",
             where=where,

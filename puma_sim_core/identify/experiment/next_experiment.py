@@ -58,7 +58,7 @@ def next_experiment(
 
 
 def label(each) -> str:
-    """Such as coulomb_friction@2, as `puma-sim excite` takes it."""
+    """Such as NAME@2, as `puma-sim excite` takes it."""
     return each.name if each.joint is None else f"{each.name}@{each.joint}"
 
 
@@ -69,7 +69,7 @@ def _hypothesis(each) -> Hypothesis:
 def _can_be_shown(each, mechanism: Mechanism) -> bool:
     """Whether a motion brings the effect out: a blow is none, nor what a mechanism cannot have."""
     kind = KINDS.get(each.name)
-    return kind is not None and kind.screening is not None and each.name != "impulse" and mechanism.possible(each.name)
+    return kind is not None and kind.screening is not None and kind.repeatable and mechanism.possible(each.name)
 
 
 def _within(first, second) -> bool:
@@ -117,7 +117,7 @@ def _made(mechanism, source, log_name: str, first: Hypothesis, second: Hypothesi
 def _told_apart(first: Hypothesis, second: Hypothesis) -> str | None:
     """What the library says of the difference, from the side of one of the two."""
     for one, other in ((first, second), (second, first)):
-        told = dict(KINDS[one.name].look_alikes).get(other.name)
+        told = KINDS[one.name].told_from(other.name)
         if told is not None:
             return f"of {one.name.replace('_', ' ')}, {told}"
     return None

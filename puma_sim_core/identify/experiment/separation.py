@@ -36,7 +36,6 @@ NUMBERS = 2.0 * _SECOND
 #: frequencies, and for shifts in time. Parameters' derivatives, which are smooth, are taken at a
 #: coarse one; rows are kept at a coarser one yet
 _STEP, _FINE, _COARSE, _KEPT = 5e-3, 2.5e-3, 1e-2, 2e-2
-_NEED_FINE = ("torque_ripple", "input_delay", "sensor_lag")
 #: counts of an encoder a turn of the motor; of one joint without gears, counts of its range
 _COUNTS, _COUNTS_OF_RANGE = 1000.0, 16384.0
 #: rows of a block of a product
@@ -54,7 +53,7 @@ class Suspect:
 
     @property
     def label(self) -> str:
-        """Such as coulomb_friction@2."""
+        """Such as NAME@2."""
         return self.kind.name if self.joint is None else f"{self.kind.name}@{self.joint + 1}"
 
 
@@ -82,7 +81,7 @@ class Judge:
         self.mechanism, self.limits = builder.mechanism, builder.limits
         self.shaken = any(s.kind.acts in (SENSING, TRANSMISSION) for s in suspects)
         self.noise = velocity_noise(self.mechanism)
-        self.step = _FINE if any(s.kind.name in _NEED_FINE for s in suspects) else _STEP
+        self.step = _FINE if any(s.kind.fine for s in suspects) else _STEP
         #: directions (of, against) that count; `design` drops those of special cases
         self.directions = [(0, None)] if len(suspects) == 1 else [(0, 1), (1, 0)]
 

@@ -104,8 +104,7 @@ def _profile(fit, fitted, k, sign, spread, wider) -> float:
 
 
 def _blur(fit, effect, name) -> float:
-    """What a parameter is uncertain by since another one is not fitted: the edges of a play are as
+    """What a parameter is uncertain by since another one is not fitted: the edges of backlash are as
     soft as its contact, whose stiffness is that of no machine in particular."""
-    if effect.kind.name == "backlash" and name == "gap":
-        return float(fit.mechanism.torque_scale[effect.joint - 1]) / effect.values["stiffness"]
-    return 0.0
+    soft = effect.kind.parameter(name).softened_by
+    return float(fit.mechanism.torque_scale[effect.joint - 1]) / effect.values[soft] if soft else 0.0

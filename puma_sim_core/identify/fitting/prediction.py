@@ -23,8 +23,6 @@ from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.noise.weighting import Weighting
 from puma_sim_core.identify.parallel import each
 
-#: effects that give a joint two masses: a model with one takes some ten times as long to run
-TWO_MASSES = frozenset({"backlash", "joint_elasticity"})
 #: step of a finite difference, as a share of the deviation of a parameter of the mechanism and of
 #: the size of a parameter of an effect
 _DIFFERENCE, _EFFECT_DIFFERENCE = 0.05, 0.01
@@ -55,28 +53,6 @@ _FARTHEST = 1.5
 _FINISHED, _REFITS = 2.0, 2
 #: rounds of a fit from the start values
 _FROM_START = 6
-#: (effect, parameter) -> how far it must move to matter, or the parameter that says so
-_MATTERS = {
-    ("soft_stop", "lower"): 0.02,
-    ("soft_stop", "upper"): 0.02,
-    ("impulse", "time"): "width",
-    ("transmission_error", "order"): 1.0,
-    ("voltage_saturation", "voltage"): 1.0,
-    ("current_limit", "current"): 0.2,
-}
-#: (effect, parameter) that say how fast or how stiff, not how much: a fit moves their logarithms. A
-#: step by so many of their sizes would end at nothing of them, and stay there
-_SCALES = frozenset(
-    {
-        ("friction_warm_up", "time_constant"),
-        ("resistance_drift", "time_constant"),
-        ("stribeck_friction", "velocity"),
-        ("presliding_friction", "stiffness"),
-        ("joint_elasticity", "stiffness"),
-        ("backlash", "stiffness"),
-        ("impulse", "width"),
-    }
-)
 
 
 @dataclass(frozen=True)
@@ -89,7 +65,7 @@ class Point:
     @property
     def heavy(self) -> bool:
         """Whether a joint of it has two masses."""
-        return any(effect.kind.name in TWO_MASSES for effect in self.effects)
+        return any(effect.kind.two_masses for effect in self.effects)
 
     @property
     def key(self) -> tuple:
@@ -311,7 +287,7 @@ class PredictionFit:
         effects = point.effects
         for (number, name), change, size in zip(pairs, step[p:], sizes):
             value = effects[number].values[name]
-            if (effects[number].kind.name, name) in _SCALES:
+            if effects[number].kind.parameter(name).logarithmic:
                 value *= float(np.exp(change))
             else:
                 value += change * size
@@ -325,7 +301,7 @@ class PredictionFit:
         step = list((other.theta - point.theta) / self.mechanism.deviations)
         for (number, name), size in zip(pairs, sizes):
             before, after = (at.effects[number].values[name] for at in (point, other))
-            scales = (point.effects[number].kind.name, name) in _SCALES
+            scales = point.effects[number].kind.parameter(name).logarithmic
             step.append(np.log(after / before) if scales else (after - before) / size)
         return np.array(step)
 
@@ -355,7 +331,7 @@ def _size(effect: Effect, name: str) -> float:
     """What derivatives by a parameter are per: its size, or, of a place that has no zero, how far
     it must move to matter. A hundredth of the angle at which a stop begins, of the time of a blow,
     or of a limit that is met by little, may jump over all of it."""
-    size = _MATTERS.get((effect.kind.name, name))
+    size = effect.kind.parameter(name).step
     if size is not None:
         return effect.values[size] if isinstance(size, str) else size
     return max(abs(effect.values[name]), 0.3 * typical(effect, name))

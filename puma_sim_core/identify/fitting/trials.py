@@ -14,10 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from puma_sim_core.effects import KINDS, Effect
+from puma_sim_core.effects.base import Parameter, Role
 from puma_sim_core.effects.screening import Illegal
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.identify.fitting import prices
-from puma_sim_core.identify.fitting.prediction import TWO_MASSES, Fitted, Point
+from puma_sim_core.identify.fitting.prediction import Fitted, Point
 from puma_sim_core.identify.parallel import each
 from puma_sim_core.identify.screening.evidence import Scored
 
@@ -37,16 +38,7 @@ _STARTS = (0.7, 0.8, 0.87, 0.94, 1.0, 1.07, 1.15, 1.3)
 #: change [nat] of the rows kept back, and share of the gain, below which an effect does not act
 #: on them
 _UNTOUCHED, _UNTOUCHED_SHARE = 1.5, 0.03
-#: parameters that a screening gives and a fit leaves alone
-STRUCTURAL = frozenset({"motor_share", "order", "ratio", "transmitted"})
-_STRUCTURAL_OF = {"payload": {"y"}, "transmission_error": set()}
 _IMPOSSIBLE = "it would need an impossible value"
-#: stiffnesses of which more means less of an effect
-_LESS_WHEN_STIFFER = {("joint_elasticity", "stiffness"), ("presliding_friction", "stiffness")}
-#: parameters that say where or how fast an effect acts, not how much
-_NO_SIZE = frozenset({"velocity", "stiffness", "time_constant", "width", "period", "order"})
-#: parameters that no machine has less of, whatever the size of the effect
-_LEAST = frozenset({"velocity", "stiffness", "time_constant"})
 #: how far outside its plausible sizes a parameter may come out, above and below
 _BEYOND, _BELOW = 2.0, 4.0
 
@@ -73,11 +65,7 @@ class Trial:
     def vanishing(self) -> bool:
         """Whether it is as stiff as it may be, and nothing of it left but what it contains."""
         effects = () if self.fitted is None else self.fitted.point.effects[-1:]
-        return any(
-            (effect.kind.name, p.name) in _LESS_WHEN_STIFFER and effect.values[p.name] >= p.high
-            for effect in effects
-            for p in effect.kind.parameters
-        )
+        return any(p.inverse and effect.values[p.name] >= p.high for effect in effects for p in effect.kind.parameters)
 
     @property
     def untried(self) -> bool:
@@ -161,7 +149,7 @@ class Trials:
         """The model with an effect as screened and the parameters as they answer to it, both by
         slopes about nothing of it: one that looks like parameters, such as a load, is far from the
         log as long as they have taken its place."""
-        if scored.entry is None or _fixed(scored) or scored.name in TWO_MASSES:
+        if scored.entry is None or _fixed(scored) or KINDS[scored.name].two_masses:
             return None
         values = scored.entry.candidate.values
         try:
@@ -259,20 +247,12 @@ class Trials:
     def names(self, effect: Effect, values) -> list[str]:
         """Parameters that are fitted: those of the screening, without structure and without
         what the effect takes from its machine."""
-        taken = {p.name for p in effect.kind.parameters if p.from_arm is not None}
-        keep = {"soft_stop": {"lower", "upper"}, "payload": {"z"}}.get(effect.kind.name, set())
-        held = _STRUCTURAL_OF.get(effect.kind.name, STRUCTURAL)
-        names = [name for name in values if name not in held]
-        names = [name for name in names if name not in taken or name in keep]
-        if effect.kind.name == "soft_stop":
-            names = [n for n in names if n == "stiffness" or self._stop_is_touched(effect, n)]
+        kind = effect.kind
+        names = [name for name in values if _is_fitted(kind.parameter(name))]
+        if kind.screening is not None and kind.screening.fitted is not None:
+            q = self.problem.sampled.position[:, effect.joint - 1]
+            names = kind.screening.fitted(names, effect.values, q.min(), q.max())
         return names
-
-    def _stop_is_touched(self, effect, name) -> bool:
-        q = self.problem.sampled.position[:, effect.joint - 1]
-        if name == "lower":
-            return effect.values["lower"] > q.min()
-        return name == "upper" and effect.values["upper"] < q.max()
 
     def effect(self, scored: Scored) -> Effect:
         kind = KINDS[scored.name]
@@ -292,9 +272,9 @@ class Trials:
             value = effect.values.get(name)
             if value is None:
                 continue
-            if value > _BEYOND * high and (effect.kind.name, name) not in _LESS_WHEN_STIFFER:
+            if value > _BEYOND * high and not effect.kind.parameter(name).inverse:
                 return f"{_IMPOSSIBLE}: {name} {value:.3g}, more than any machine has ({high:.3g})"
-            if name in _LEAST and value < low / _BELOW:
+            if effect.kind.parameter(name).role is Role.RATE and value < low / _BELOW:
                 return f"{_IMPOSSIBLE}: {name} {value:.3g}, less than any machine has ({low:.3g})"
         return self._too_small(effect)
 
@@ -312,7 +292,7 @@ class Trials:
         """Why an effect is less than any machine has, if all of its sizes are."""
         found = None
         for name, low, high in effect.kind.plausible:
-            if name in _NO_SIZE:
+            if effect.kind.parameter(name).role is not Role.SIZE:
                 continue
             value = abs(effect.values.get(name, np.inf))
             if value >= low / _BELOW:
@@ -322,6 +302,11 @@ class Trials:
 
     def _on_arm(self) -> bool:
         return self.problem.sampled.joints == 3
+
+
+def _is_fitted(parameter: Parameter) -> bool:
+    """Whether a fit moves it: not what the construction gives, nor what the effect takes from its machine."""
+    return parameter.role is Role.PLACE or (parameter.role is not Role.STRUCTURE and parameter.from_arm is None)
 
 
 def nearest(base: Fitted, raw: np.ndarray) -> np.ndarray | None:

@@ -42,8 +42,6 @@ _BADGES = {
     UNNAMED: "Something without a name",
     DATA_FAULT: "Fault in the data",
 }
-#: effects that feedback in a recording can feign
-_FEIGNED = ("input_delay", "sensor_lag", "joint_elasticity")
 _ROWS = {"nominal": "nominal", "retuned": "retuned", "augmented": "augmented", "floor": "noise"}
 
 
@@ -125,7 +123,11 @@ def _how_sure(e: Explanation) -> str:
             f"<p>Evidence {gains} over the model without it; 10 would be odds of "
             "20\N{NARROW NO-BREAK SPACE}000 to 1.</p>\n"
         )
-        if e.feedback_bias is not None and e.feedback_bias.biased and any(each.name in _FEIGNED for each in e.effects):
+        if (
+            e.feedback_bias is not None
+            and e.feedback_bias.biased
+            and any(KINDS[each.name].feigned for each in e.effects)
+        ):
             parts.append(
                 '<p class="unseen">The recording has feedback, which can feign this: '
                 '<a href="#feedback">see the test</a>.</p>\n'

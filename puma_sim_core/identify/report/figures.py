@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from puma_sim_core.effects import KINDS
 from puma_sim_core.identify.report.drawing import Chart, Layer
 from puma_sim_core.identify.report.text import is_augmented, plain_unit, scale
 from puma_sim_core.identify.result import Drawn, Explanation, NamedEffect, StageErrors
@@ -24,39 +25,6 @@ HELD_OUT = "#e9eff6"
 _BINS = 30
 #: rows that a mean needs to be drawn
 _ROWS = 6
-#: effect -> signals that it is looked at against; the first that a report has is taken
-_AGAINST = {
-    "viscous_friction": ("velocity",),
-    "coulomb_friction": ("velocity",),
-    "asymmetric_coulomb_friction": ("velocity",),
-    "stribeck_friction": ("velocity",),
-    "presliding_friction": ("velocity",),
-    "quadratic_friction": ("velocity",),
-    "load_dependent_friction": ("gravity_torque", "link_torque", "torque"),
-    "position_dependent_friction": ("position",),
-    "torque_ripple": ("motor_angle", "position"),
-    "joint_spring": ("position",),
-    "soft_stop": ("position",),
-    "base_tilt": ("position",),
-    "payload": ("link_torque", "torque", "position"),
-    "impulse": ("time",),
-    "friction_warm_up": ("time",),
-    "resistance_drift": ("time",),
-    "voltage_dead_band": ("voltage",),
-    "voltage_offset": ("time",),
-    "voltage_saturation": ("voltage",),
-    "current_limit": ("current", "torque"),
-    "supply_droop": ("supply_current", "current", "voltage"),
-    "input_delay": ("voltage_rate", "acceleration"),
-    "sensor_lag": ("voltage_rate", "acceleration"),
-    "encoder_offset": ("position",),
-    "sensor_nonlinearity": ("position",),
-    "transmission_error": ("position",),
-    "joint_elasticity": ("acceleration",),
-    "backlash": ("link_torque", "torque"),
-}
-#: a level of friction is seen when the sign of the motion is taken out
-_DIRECTED = ("load_dependent_friction", "position_dependent_friction")
 
 
 def residual_in_time(explanation: Explanation) -> list[Chart]:
@@ -198,12 +166,12 @@ def _residuals(explanation: Explanation, time: np.ndarray, j: int) -> tuple[list
 
 def _against(explanation: Explanation, effect: NamedEffect, j: int) -> Chart:
     axis = next(
-        (name for name in _AGAINST.get(effect.name, ()) if _signal(explanation.drawn, name, j) is not None), "time"
+        (name for name in KINDS[effect.name].drawn_against if _signal(explanation.drawn, name, j) is not None), "time"
     )
-    directed = effect.name in _DIRECTED and "velocity" in explanation.drawn.signals
+    directed = KINDS[effect.name].directed and "velocity" in explanation.drawn.signals
     title = f"Joint {j + 1}: residual against {_axis_words(axis)}"
     chart = _scatter(explanation, axis, j, directed, title)
-    if effect.name == "impulse" and {"time", "width"} <= set(effect.parameters):
+    if {"time", "width"} <= set(effect.parameters):
         middle, width = (effect.parameters[name].value for name in ("time", "width"))
         begin, end = chart.x_range or (-math.inf, math.inf)
         near = (max(begin, middle - 6.0 * width), min(end, middle + 6.0 * width))

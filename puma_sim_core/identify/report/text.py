@@ -103,7 +103,7 @@ def estimate(found: Interval) -> tuple[str, str, str]:
 
 
 def effect_name(name: str) -> str:
-    """coulomb_friction as "Coulomb friction"."""
+    """The name of an effect in words."""
     words = " ".join(_PROPER.get(word, word) for word in name.split("_"))
     for apart, together in _HYPHENED.items():
         words = words.replace(apart, together)

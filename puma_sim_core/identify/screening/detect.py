@@ -27,7 +27,7 @@ def detectable(name: str, joint: int | None, kind, pairs, threshold: float) -> D
     sizes = [_size(c, G, parameter, threshold) for c, G in pairs]
     sizes = [size for size in sizes if size is not None]
     # a small stiffness is a great effect: there the largest value that shows is the limit
-    falling = name == "joint_elasticity"
+    falling = kind.parameter(parameter).inverse
     size = (max(sizes) if falling else min(sizes)) if sizes else np.inf
     low, high = limits.get(parameter, (0.0, np.inf))
     excited = bool(np.isfinite(size) and (size >= low if falling else size <= high))

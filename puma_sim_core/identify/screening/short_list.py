@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from puma_sim_core.identify.fitting.prediction import TWO_MASSES, Point
+from puma_sim_core.identify.fitting.prediction import Point
 from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.screening.causal import CausalScreen
 from puma_sim_core.identify.screening.evidence import Scored
@@ -92,7 +92,7 @@ class ShortList:
                     if scored is not None and scored.values is not None:
                         taken.add((name, s.joint))
                         found.append(scored)
-        two = {joint for name, joint in keys if name in TWO_MASSES}
+        two = {joint for name, joint in keys if self.library[name].two_masses}
         volts = self.predictor.volts
         for j in np.flatnonzero(volts > _NOISY * np.median(volts)):
             for name, kind in self.library.items():

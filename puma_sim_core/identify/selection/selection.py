@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from puma_sim_core.identify.fitting.prediction import TWO_MASSES, Fitted, Point, PredictionFit
+from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
 from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.fitting.refits import Refits
 from puma_sim_core.identify.fitting.trials import Trial, Trials, nearest
@@ -221,7 +221,7 @@ class Selection:
                     stage.needed(t.joint),
                     _GIVING_WAY * best.gain,
                     stage.needed_untried(t.joint) if t.untried else 0.0,
-                    LEAST_TWO_MASSES if t.name in TWO_MASSES else 0.0,
+                    LEAST_TWO_MASSES if self.library[t.name].two_masses else 0.0,
                 )
             ]
             if best
