@@ -23,7 +23,7 @@ from puma_sim_core.effects import KINDS
 from puma_sim_core.errors import RecordingError
 from puma_sim_core.identify.report import output
 from puma_sim_core.identify.report.drawing import decades, thin, ticks
-from puma_sim_core.identify.report.figures import _AGAINST, residual_against, residual_in_time, whiteness
+from puma_sim_core.identify.report.figures import residual_against, residual_in_time, whiteness
 from puma_sim_core.identify.report.html import page
 from puma_sim_core.identify.report.json import report_text
 from puma_sim_core.identify.report.output import check_folder, write_explanation
@@ -207,7 +207,7 @@ def test_every_look_alike_has_its_reason():
 
 @pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
 def test_each_kind_is_drawn_against_a_variable_that_matters(kind):
-    assert kind.name in _AGAINST
+    assert kind.drawn_against
     e = named()
     joint = 2 if kind.per_joint else None
     parameters = {p.name: Interval(5.0, 4.0, 6.0, p.unit) for p in kind.parameters}
