@@ -15,8 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.task import STEP, Row, Task
-from puma_sim_core.dynamics.rigid import FREE, STILL
-from puma_sim_core.dynamics.runs import ROW, advance, is_finite, run_voltages, store, terminal_voltage
+from puma_sim_core.dynamics.laws import AT_REST
+from puma_sim_core.dynamics.runs import ROW, advance, is_finite, run_voltages, store, terminals
+from puma_sim_core.dynamics.types import FREE, STILL, Model, Rows, State
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.jit import BACKEND, compiled
 from puma_sim_core.plant.plant import Plant
@@ -39,8 +40,6 @@ FITTING_ALL = "puma_sim, batch with states each 28 ms, on all cores"
 BATCH_RUNS = 32
 #: as a fit of parameters runs them, some tenth of a second at a time
 FITTING_RUNS = 256
-#: bristles at rest, and no links apart from the motors
-NO_LINKS = (0.0,) * 9
 #: rows of 1 ms in one of 28 ms
 _HELD = 28
 
@@ -80,17 +79,22 @@ def simulation(task: Task, effects=()):
 
 def one_call(task: Task):
     """The compiled call that is behind `Simulator.run`, alone."""
-    body, drive, active, table = task.plant.constants
-    out = np.empty((task.steps + 1, ROW))
-    counts, steps = np.ones(task.steps, dtype=np.int64), np.full(task.steps, STEP)
-    state, p = tuple(task.state.tolist()), native(table)
-    times = STEP * np.arange(task.steps)
+    out, rows, state, constants = _call(task)
 
     def run():
-        run_voltages(state, NO_LINKS, STILL, task.voltages, times, counts, steps, body, drive, active, p, FREE, out)
+        run_voltages(state, rows, constants, FREE, out)
         return out[-1, :3].copy()
 
     return run
+
+
+def _call(task: Task):
+    """What a compiled call takes."""
+    out = np.empty((task.steps + 1, ROW))
+    counts, steps = np.ones(task.steps, dtype=np.int64), np.full(task.steps, STEP)
+    rows = Rows(task.voltages, STEP * np.arange(task.steps), counts, steps)
+    state = State(tuple(task.state.tolist()), AT_REST, STILL)
+    return out, rows, state, task.plant.constants._replace(table=native(task.plant.constants.table))
 
 
 def batch(task: Task, workers: int, runs: int | None = None, held: int = 1):
@@ -131,30 +135,25 @@ def core_count() -> int:
 
 def without_stages(task: Task):
     """`one_call` compiled for a plant without effects: all that they could cost is gone."""
-    body, drive, _, table = task.plant.constants
 
     @compiled
-    def run_bare(x, z, m, volts, counts, steps, body, drive, p, out):
-        store(out, 0, x, z)
-        for r in range(len(volts)):
-            v = (
-                terminal_voltage(0, volts[r][0], p),
-                terminal_voltage(1, volts[r][1], p),
-                terminal_voltage(2, volts[r][2], p),
-            )
-            x, z, m = advance(x, z, m, v, 0.0, steps[r], counts[r], body, drive, 0, p, FREE)
-            if not is_finite(x):
+    def run_bare(state, rows, constants, out):
+        model, p = constants
+        plain = Model(model.body, model.drive, 0)
+        store(out, 0, state.x, state.z)
+        for r in range(len(rows.count)):
+            v = terminals(rows.voltage, r, p)
+            # rows of any length, as in the kernel: a constant step would be a gain of its own
+            state = advance(state, v, 0.0, rows.step[r], rows.count[r], plain, p, FREE)
+            if not is_finite(state.x):
                 return r + 1
-            store(out, r + 1, x, z)
+            store(out, r + 1, state.x, state.z)
         return -1
 
-    out = np.empty((task.steps + 1, ROW))
-    # rows of any length, as in the kernel: a constant step would be a gain of its own
-    counts, steps = np.ones(task.steps, dtype=np.int64), np.full(task.steps, STEP)
-    state, p = tuple(task.state.tolist()), native(table)
+    out, rows, state, constants = _call(task)
 
     def run():
-        run_bare(state, NO_LINKS, STILL, task.voltages, counts, steps, body, drive, p, out)
+        run_bare(state, rows, constants, out)
         return out[-1, :3].copy()
 
     return run

@@ -322,4 +322,4 @@ def test_a_zero_that_no_sensor_has_is_a_fault_of_the_data(gain, rival, problem, 
 
 
 def test_a_spring_is_contained_in_a_stop():
-    assert "joint_spring" in KINDS["soft_stop"].screening.contains
+    assert "joint_spring" in KINDS["soft_stop"].contains

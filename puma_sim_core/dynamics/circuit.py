@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""The electrical circuits of the three motors (equation 5.1), as scalar code of `kernel`."""
+"""The electrical circuits of the three motors: equation 5.1, L di/dt = V - R i - ke N qd."""
 
 from __future__ import annotations
 
@@ -17,62 +17,73 @@ from puma_sim_core.jit import inlined
 
 
 @inlined
-def supplied(v1, v2, v3, i1, i2, i3, p):
+def supplied(v, i1, i2, i3, p):
     """Voltages [V] that are left of a supply that sags under the currents."""
     share = supply_share(p, 0, i1, i2, i3)
-    return v1 * share, v2 * share, v3 * share
+    return v[0] * share, v[1] * share, v[2] * share
 
 
 @inlined
-def settled_current(j, i, w, v, inverse_inductance, resistance, emf, active, p):
-    """Current [A] of motor j: without inductance what voltage and speed make of it, else i."""
-    if inverse_inductance != 0.0:
-        return i
-    i = (v - emf * w) / resistance
-    if active & CURRENT_LIMIT:
-        i = bounded_current(p, j * WIDTH, i)
-    return i
+def limited_currents(i1, i2, i3, p):
+    """Currents [A] of the three motors within their bounds."""
+    return bounded_current(p, 0, i1), bounded_current(p, WIDTH, i2), bounded_current(p, 2 * WIDTH, i3)
 
 
 @inlined
-def settled_currents(i1, i2, i3, w1, w2, w3, v1, v2, v3, drive, active, p):
-    """`settled_current` of the three motors; a supply droops under the currents given."""
+def settled_currents(x, v, model, p):
+    """Currents [A]: of a motor without inductance what voltage and speed make of it, else the state's own.
+
+    A supply sags under the currents of the state.
+    """
+    body, drive, active = model
     y1, r1, k1, _, _, y2, r2, k2, _, _, y3, r3, k3, _, _ = drive
+    i1, i2, i3 = x[6], x[7], x[8]
+    v1, v2, v3 = v[0], v[1], v[2]
     if active & DROOP:
-        v1, v2, v3 = supplied(v1, v2, v3, i1, i2, i3, p)
-    return (
-        settled_current(0, i1, w1, v1, y1, r1, k1, active, p),
-        settled_current(1, i2, w2, v2, y2, r2, k2, active, p),
-        settled_current(2, i3, w3, v3, y3, r3, k3, active, p),
-    )
+        v1, v2, v3 = supplied(v, i1, i2, i3, p)
+    if y1 == 0.0:
+        i1 = (v1 - k1 * x[3]) / r1
+        if active & CURRENT_LIMIT:
+            i1 = bounded_current(p, 0, i1)
+    if y2 == 0.0:
+        i2 = (v2 - k2 * x[4]) / r2
+        if active & CURRENT_LIMIT:
+            i2 = bounded_current(p, WIDTH, i2)
+    if y3 == 0.0:
+        i3 = (v3 - k3 * x[5]) / r3
+        if active & CURRENT_LIMIT:
+            i3 = bounded_current(p, 2 * WIDTH, i3)
+    return i1, i2, i3
 
 
 @inlined
-def settled_state(x, v, drive, active, p):
-    """The state with `settled_currents` for the voltages v."""
-    q1, q2, q3, w1, w2, w3, i1, i2, i3 = x
-    i1, i2, i3 = settled_currents(i1, i2, i3, w1, w2, w3, v[0], v[1], v[2], drive, active, p)
-    return q1, q2, q3, w1, w2, w3, i1, i2, i3
+def settled_state(x, v, model, p):
+    """The state with `settled_currents`."""
+    i1, i2, i3 = settled_currents(x, v, model, p)
+    return x[0], x[1], x[2], x[3], x[4], x[5], i1, i2, i3
 
 
 @inlined
-def motor_torques(i1, i2, i3, w1, w2, w3, v1, v2, v3, drive, active, p):
+def motor_torques(x, v, model, p):
     """Torques [N.m] that the motors give at the joints after viscous friction."""
-    _, _, _, n1, h1, _, _, _, n2, h2, _, _, _, n3, h3 = drive
-    if active & ALGEBRAIC:
-        i1, i2, i3 = settled_currents(i1, i2, i3, w1, w2, w3, v1, v2, v3, drive, active, p)
-    return n1 * i1 - h1 * w1, n2 * i2 - h2 * w2, n3 * i3 - h3 * w3
+    _, _, _, n1, h1, _, _, _, n2, h2, _, _, _, n3, h3 = model.drive
+    i1, i2, i3 = x[6], x[7], x[8]
+    if model.active & ALGEBRAIC:
+        i1, i2, i3 = settled_currents(x, v, model, p)
+    return n1 * i1 - h1 * x[3], n2 * i2 - h2 * x[4], n3 * i3 - h3 * x[5]
 
 
 @inlined
-def electric_rates(i1, i2, i3, w1, w2, w3, v1, v2, v3, drive, active, p):
-    """Currents [A], as they are or as the voltages settle them, and their rates [A/s]."""
+def electric_rates(x, v, model, p):
+    """Currents [A], as they are or as the voltages settle them, and their rates [A/s] (equation 5.1)."""
+    body, drive, active = model
     y1, r1, k1, _, _, y2, r2, k2, _, _, y3, r3, k3, _, _ = drive
-    u1, u2, u3 = v1, v2, v3
+    w1, w2, w3, i1, i2, i3 = x[3], x[4], x[5], x[6], x[7], x[8]
+    u1, u2, u3 = v[0], v[1], v[2]
     if active & DROOP:
-        u1, u2, u3 = supplied(v1, v2, v3, i1, i2, i3, p)
+        u1, u2, u3 = supplied(v, i1, i2, i3, p)
     if active & ALGEBRAIC:
-        i1, i2, i3 = settled_currents(i1, i2, i3, w1, w2, w3, v1, v2, v3, drive, active, p)
+        i1, i2, i3 = settled_currents(x, v, model, p)
     e1 = (u1 - r1 * i1 - k1 * w1) * y1
     e2 = (u2 - r2 * i2 - k2 * w2) * y2
     e3 = (u3 - r3 * i3 - k3 * w3) * y3
@@ -81,9 +92,3 @@ def electric_rates(i1, i2, i3, w1, w2, w3, v1, v2, v3, drive, active, p):
         e2 = bounded_rate(p, WIDTH, i2, e2)
         e3 = bounded_rate(p, 2 * WIDTH, i3, e3)
     return i1, i2, i3, e1, e2, e3
-
-
-@inlined
-def limited_currents(i1, i2, i3, p):
-    """Currents [A] of the three motors within their bounds."""
-    return (bounded_current(p, 0, i1), bounded_current(p, WIDTH, i2), bounded_current(p, 2 * WIDTH, i3))

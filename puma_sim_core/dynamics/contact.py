@@ -13,9 +13,12 @@ step goes on from there with new states. So the order of the Runge-Kutta step su
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 from puma_sim_core.dynamics.circuit import settled_state
 from puma_sim_core.dynamics.laws import ALGEBRAIC, DRY, LOCKED, VARYING
-from puma_sim_core.dynamics.rigid import STILL, library_trigonometry, remove_rows, rigid_body, rk4_step, solve
+from puma_sim_core.dynamics.rigid import arm_step, library_trigonometry, remove_rows, rigid_body, solve
 from puma_sim_core.dynamics.torques import (
     constant_level,
     effect_torques,
@@ -24,7 +27,8 @@ from puma_sim_core.dynamics.torques import (
     has_dry,
     sliding_level,
 )
-from puma_sim_core.jit import inlined, merged, outlined
+from puma_sim_core.dynamics.types import STILL, Model
+from puma_sim_core.jit import inlined, interpreted, merged, outlined
 
 #: changes of contact that are located inside one step; more than that is chatter, see below
 _CHANGES = 12
@@ -74,49 +78,34 @@ def overload(j, sticks, torque, x, load, p):
 
 
 @inlined
-def free_system(x, z, v, slip, body, drive, active, p):
-    """M and b of the arm with friction on its sliding joints only (see `kernel.rigid_body`).
+def free_system(x, z, v, slip, model, p):
+    """The system of the arm with friction on its sliding joints only.
 
     z and v are those of a step, for arms that need them (`two_mass.motor_system`).
     """
-    q1, q2, q3, w1, w2, w3, i1, i2, i3 = x
-    _, _, _, n1, h1, _, _, _, n2, h2, _, _, _, n3, h3 = drive
-    trig = library_trigonometry(q2, q3)
-    t1, t2, t3 = effect_torques(
-        q1,
-        q2,
-        q3,
-        w1,
-        w2,
-        w3,
-        n1 * i1 - h1 * w1,
-        n2 * i2 - h2 * w2,
-        n3 * i3 - h3 * w3,
-        trig,
-        body,
-        active,
-        p,
-        slip,
-        STILL,
-    )
-    return rigid_body(w1, w2, w3, t1, t2, t3, trig, body)
+    _, _, _, w1, w2, w3, i1, i2, i3 = x
+    _, _, _, n1, h1, _, _, _, n2, h2, _, _, _, n3, h3 = model.drive
+    trig = library_trigonometry(x[1], x[2])
+    motors = (n1 * i1 - h1 * w1, n2 * i2 - h2 * w2, n3 * i3 - h3 * w3)
+    t1, t2, t3 = effect_torques(x, motors, trig, model, p, slip, STILL)
+    return rigid_body(w1, w2, w3, t1, t2, t3, trig, model.body)
 
 
 @inlined
-def loads(x, body, drive):
+def loads(x, model):
     """Gravity torques [N.m] of the three joints on a level base, and what their motors give
     after viscous friction, with the currents as they are."""
     _, _, _, w1, w2, w3, i1, i2, i3 = x
-    _, _, _, n1, h1, _, _, _, n2, h2, _, _, _, n3, h3 = drive
-    G2, G3 = gravity_torques(library_trigonometry(x[1], x[2]), body)
+    _, _, _, n1, h1, _, _, _, n2, h2, _, _, _, n3, h3 = model.drive
+    G2, G3 = gravity_torques(library_trigonometry(x[1], x[2]), model.body)
     return 0.0, G2, G3, n1 * i1 - h1 * w1, n2 * i2 - h2 * w2, n3 * i3 - h3 * w3
 
 
 @inlined
-def borne_torques(m11, m12, m13, m22, m23, m33, b1, b2, b3, lock):
-    """Torques [N.m] that push each joint while the locked ones do not accelerate freely."""
-    n = remove_rows(m11, m12, m13, m22, m23, m33, b1, b2, b3, lock)
-    a1, a2, a3 = solve(n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7], n[8])
+def borne_torques(system, lock):
+    """Torques [N.m] that push each joint while the locked ones do not accelerate freely, and the accelerations."""
+    m11, m12, m13, m22, m23, m33, b1, b2, b3 = system
+    a1, a2, a3 = solve(remove_rows(system, lock))
     return (
         b1 - m11 * a1 - m12 * a2 - m13 * a3,
         b2 - m12 * a1 - m22 * a2 - m23 * a3,
@@ -138,63 +127,6 @@ def trial(digit, may):
 
 
 @inlined
-def contact(x, body, drive, active, p, lock, push):
-    """`contact_of` the arm whose links follow their motors."""
-    return contact_of(free_system, x, STILL, STILL, body, drive, active, p, lock, push)
-
-
-@inlined
-def contact_of(system, x, z, v, body, drive, active, p, lock, push):
-    """Which joints stick and where the others slide: (lock with sticking joints, slip).
-
-    system : a function like `free_system`; z, v : what it may need.
-
-    Each joint at rest either sticks, below its level, or starts in a direction in which it then
-    accelerates. Exactly one combination holds for all three together: M is positive definite,
-    and the accelerations are the minimum of a strictly convex function (Moreau). They are tried
-    in turn, all stuck first. Letting go one joint after the other would not do: where one pulls
-    another loose, a third may have to stop again.
-    """
-    _, _, _, w1, w2, w3, _, _, _ = x
-    l1, l2, l3, a1, a2, a3 = lock
-    s1, may1 = motion(0, l1, w1, p)
-    s2, may2 = motion(1, l2, w2, p)
-    s3, may3 = motion(2, l3, w3, p)
-    held, slip = lock, sliding(s1, s2, s3, p, push)
-    if may1 + may2 + may3 > 0.0:
-        m11, m12, m13, m22, m23, m33, b1, b2, b3 = system(x, z, v, slip, body, drive, active, p)
-        load = loads(x, body, drive)
-        least = 1e300
-        for n in range(27):
-            n1, n2, n3 = n % 3, n // 3 % 3, n // 9
-            if (n1 and may1 == 0.0) or (n2 and may2 == 0.0) or (n3 and may3 == 0.0):
-                continue
-            k1, g1 = trial(n1, may1)
-            k2, g2 = trial(n2, may2)
-            k3, g3 = trial(n3, may3)
-            f1, f2, f3 = starting_levels(g1, g2, g3, x, load, p)
-            d1, d2, d3, c1, c2, c3 = borne_torques(
-                m11, m12, m13, m22, m23, m33, b1 - f1, b2 - f2, b3 - f3, (l1 + k1, l2 + k2, l3 + k3, a1, a2, a3)
-            )
-            # by how much the combination fails [N.m]; more than 0 for all is rounding only
-            failure = max(
-                overload(0, k1, d1, x, load, p),
-                overload(1, k2, d2, x, load, p),
-                overload(2, k3, d3, x, load, p),
-                -g1 * c1 * m11,
-                -g2 * c2 * m22,
-                -g3 * c3 * m33,
-            )
-            if failure < least:
-                least = failure
-                held = (l1 + k1, l2 + k2, l3 + k3, a1, a2, a3)
-                slip = sliding(s1 + g1, s2 + g2, s3 + g3, p, push)
-                if failure <= 0.0:
-                    break
-    return held, slip
-
-
-@inlined
 def starting_levels(g1, g2, g3, x, load, p):
     """Friction [N.m], with its sign, of joints at rest that start in these directions."""
     return (
@@ -202,33 +134,6 @@ def starting_levels(g1, g2, g3, x, load, p):
         g2 * sliding_level(1, g2, x[1], load[1], load[4], 0.0, p),
         g3 * sliding_level(2, g3, x[2], load[2], load[5], 0.0, p),
     )
-
-
-@inlined
-def margin(system, x, z, v, body, drive, active, p, lock, held, slip):
-    """How far the state is from the end of its contact: negative once it has ended.
-
-    The smallest of: velocity along the direction of sliding [rad/s], level less torque of a
-    sticking joint [N.m].
-    """
-    least = 1e300
-    for j in range(3):
-        if slip[j] != 0.0:
-            least = min(least, slip[j] * x[3 + j])
-    k1 = held[0] - lock[0]
-    k2 = held[1] - lock[1]
-    k3 = held[2] - lock[2]
-    if k1 + k2 + k3 > 0.0:
-        m11, m12, m13, m22, m23, m33, b1, b2, b3 = system(x, z, v, slip, body, drive, active, p)
-        d1, d2, d3, _, _, _ = borne_torques(m11, m12, m13, m22, m23, m33, b1, b2, b3, held)
-        load = loads(x, body, drive)
-        if k1 != 0.0:
-            least = min(least, -overload(0, k1, d1, x, load, p))
-        if k2 != 0.0:
-            least = min(least, -overload(1, k2, d2, x, load, p))
-        if k3 != 0.0:
-            least = min(least, -overload(2, k3, d3, x, load, p))
-    return least
 
 
 @inlined
@@ -245,26 +150,169 @@ def halt(x, slip):
 
 
 @inlined
-def free_contact(x, z, v, body, drive, active, p, lock, push):
-    """`contact` as `changing_step` calls it."""
-    return contact_of(free_system, x, z, v, body, drive, active, p, lock, push)
+def with_held(model, held):
+    """The model with the stage of locked joints where any joint is held."""
+    if held[0] + held[1] + held[2] > 0.0:
+        return Model(model.body, model.drive, model.active | LOCKED)
+    return model
 
 
-@inlined
-def free_margin(x, z, v, body, drive, active, p, lock, held, slip):
-    """`margin` as `changing_step` calls it."""
-    return margin(free_system, x, z, v, body, drive, active, p, lock, held, slip)
+def build_contact(system: Callable[..., Any]) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """Functions that find the contacts of joints, and how far a state is from their end.
+
+    system : a function like `free_system`. Returns (x, z, v, model, p, lock, push) -> lock with sticking joints, slip;
+    and (x, z, v, model, p, lock, held, slip) -> margin, negative once the contact has ended.
+    """
+
+    @inlined
+    def contact(x, z, v, model, p, lock, push):
+        """Which joints stick and where the others slide: (lock with sticking joints, slip).
+
+        z, v : what the system may need.
+
+        Each joint at rest either sticks, below its level, or starts in a direction in which it then
+        accelerates. Exactly one combination holds for all three together: M is positive definite,
+        and the accelerations are the minimum of a strictly convex function (Moreau). They are tried
+        in turn, all stuck first. Letting go one joint after the other would not do: where one pulls
+        another loose, a third may have to stop again.
+        """
+        _, _, _, w1, w2, w3, _, _, _ = x
+        l1, l2, l3, a1, a2, a3 = lock
+        s1, may1 = motion(0, l1, w1, p)
+        s2, may2 = motion(1, l2, w2, p)
+        s3, may3 = motion(2, l3, w3, p)
+        held, slip = lock, sliding(s1, s2, s3, p, push)
+        if may1 + may2 + may3 > 0.0:
+            m11, m12, m13, m22, m23, m33, b1, b2, b3 = system(x, z, v, slip, model, p)
+            load = loads(x, model)
+            least = 1e300
+            for n in range(27):
+                n1, n2, n3 = n % 3, n // 3 % 3, n // 9
+                if (n1 and may1 == 0.0) or (n2 and may2 == 0.0) or (n3 and may3 == 0.0):
+                    continue
+                k1, g1 = trial(n1, may1)
+                k2, g2 = trial(n2, may2)
+                k3, g3 = trial(n3, may3)
+                f1, f2, f3 = starting_levels(g1, g2, g3, x, load, p)
+                stuck = (l1 + k1, l2 + k2, l3 + k3, a1, a2, a3)
+                d1, d2, d3, c1, c2, c3 = borne_torques((m11, m12, m13, m22, m23, m33, b1 - f1, b2 - f2, b3 - f3), stuck)
+                # by how much the combination fails [N.m]; more than 0 for all is rounding only
+                failure = max(
+                    overload(0, k1, d1, x, load, p),
+                    overload(1, k2, d2, x, load, p),
+                    overload(2, k3, d3, x, load, p),
+                    -g1 * c1 * m11,
+                    -g2 * c2 * m22,
+                    -g3 * c3 * m33,
+                )
+                if failure < least:
+                    least = failure
+                    held = stuck
+                    slip = sliding(s1 + g1, s2 + g2, s3 + g3, p, push)
+                    if failure <= 0.0:
+                        break
+        return held, slip
+
+    @inlined
+    def margin(x, z, v, model, p, lock, held, slip):
+        """How far the state is from the end of its contact: negative once it has ended.
+
+        The smallest of: velocity along the direction of sliding [rad/s], level less torque of a
+        sticking joint [N.m].
+        """
+        least = 1e300
+        for j in range(3):
+            if slip[j] != 0.0:
+                least = min(least, slip[j] * x[3 + j])
+        k1 = held[0] - lock[0]
+        k2 = held[1] - lock[1]
+        k3 = held[2] - lock[2]
+        if k1 + k2 + k3 > 0.0:
+            d1, d2, d3, _, _, _ = borne_torques(system(x, z, v, slip, model, p), held)
+            load = loads(x, model)
+            if k1 != 0.0:
+                least = min(least, -overload(0, k1, d1, x, load, p))
+            if k2 != 0.0:
+                least = min(least, -overload(1, k2, d2, x, load, p))
+            if k3 != 0.0:
+                least = min(least, -overload(2, k3, d3, x, load, p))
+        return least
+
+    return contact, margin
+
+
+def build_changing_step(
+    step: Callable[..., Any], contact: Callable[..., Any], margin: Callable[..., Any]
+) -> Callable[..., Any]:
+    """The step of a system in which joints stick and slip, on top of one with known contacts.
+
+    step : (x, z, v, h, model, p, lock, slip) -> x, z; contact, margin : of `build_contact`.
+    """
+
+    @inlined
+    def changing_step(x, z, v, h, model, p, lock, push):
+        """`contact_step` where a joint is at rest, or reverses: contacts are found and followed."""
+        left = h
+        y, z_end = x, z
+        for _ in range(_CHANGES):
+            held, slip = contact(x, z, v, model, p, lock, push)
+            stages = with_held(model, held)
+            y, z_end = step(x, z, v, left, stages, p, held, slip)
+            g_high = margin(y, z_end, v, model, p, lock, held, slip)
+            if not g_high < 0.0:
+                return y, z_end
+            low, high = 0.0, left
+            g_low = max(margin(x, z, v, model, p, lock, held, slip), 0.0)
+            y = halt(y, slip)
+            side = 0
+            for _ in range(_ITERATIONS):
+                if high - low <= _RESOLUTION * h:
+                    break
+                middle = 0.5 * (low + high)
+                if g_low > 0.0:
+                    middle = low + (high - low) * g_low / (g_low - g_high)
+                    if not low < middle < high:
+                        break
+                y_middle, z_middle = step(x, z, v, middle, stages, p, held, slip)
+                g = margin(y_middle, z_middle, v, model, p, lock, held, slip)
+                if g < 0.0:
+                    high, g_high = middle, g
+                    if side < 0:
+                        g_low *= 0.5
+                    side = -1
+                    y, z_end = halt(y_middle, slip), z_middle
+                else:
+                    low, g_low = middle, g
+                    if side > 0:
+                        g_high *= 0.5
+                    side = 1
+            x, z = y, z_end
+            left -= high
+            if left <= _RESOLUTION * h:
+                return x, z
+        held, slip = contact(x, z, v, model, p, lock, push)
+        stages = with_held(model, held)
+        y, z_end = step(x, z, v, left, stages, p, held, slip)
+        return halt(y, slip), z_end
+
+    return changing_step
+
+
+contact, margin = build_contact(free_system)
 
 
 @outlined
-def cold_step(x, z, v, h, body, drive, active, p, held, slip):
-    """`kernel.rk4_step` as a call, for the places that few steps pass."""
-    return rk4_step(x, z, v, h, body, drive, active, p, held, slip)
+def cold_step(x, z, v, h, model, p, held, slip):
+    """`rigid.arm_step` as a call, for the places that few steps pass."""
+    return arm_step(x, z, v, h, model, p, held, slip)
+
+
+changing_step = outlined(interpreted(build_changing_step(cold_step, contact, margin)))
 
 
 @merged
-def contact_step(x, z, v, h, body, drive, active, p, lock, push):
-    """State and bristles after `h` seconds with dry friction; arguments as `kernel.rk4_step`.
+def contact_step(x, z, v, h, model, p, lock, push):
+    """State and bristles after `h` seconds with dry friction; arguments as `rigid.arm_step`.
 
     push : torques [N.m] in the direction of positive motion, constant over the step.
 
@@ -272,9 +320,10 @@ def contact_step(x, z, v, h, body, drive, active, p, lock, push):
     change more than a dozen times within one step (joints that chatter against each other), the
     rest of that step is taken in one go, and a joint that reverses in it is stopped at its end.
     """
+    active = model.active
     if active & ALGEBRAIC:
         # what decides whether a joint sticks is the current that these voltages drive
-        x = settled_state(x, v, drive, active, p)
+        x = settled_state(x, v, model, p)
     if (x[3] != 0.0 or lock[0] != 0.0) and (x[4] != 0.0 or lock[1] != 0.0) and (x[5] != 0.0 or lock[2] != 0.0):
         slip = sliding(
             slip_direction(0, lock[0], x[3], p),
@@ -285,71 +334,11 @@ def contact_step(x, z, v, h, body, drive, active, p, lock, push):
         )
         # stages given as literals let the compiler drop all others
         if active == DRY:
-            y, z_end = rk4_step(x, z, v, h, body, drive, DRY, p, lock, slip)
+            y, z_end = arm_step(x, z, v, h, Model(model.body, model.drive, DRY), p, lock, slip)
         elif active & ~(DRY | VARYING) == 0:
-            y, z_end = rk4_step(x, z, v, h, body, drive, DRY | VARYING, p, lock, slip)
+            y, z_end = arm_step(x, z, v, h, Model(model.body, model.drive, DRY | VARYING), p, lock, slip)
         else:
-            y, z_end = cold_step(x, z, v, h, body, drive, active, p, lock, slip)
+            y, z_end = cold_step(x, z, v, h, model, p, lock, slip)
         if slip[0] * y[3] >= 0.0 and slip[1] * y[4] >= 0.0 and slip[2] * y[5] >= 0.0:
             return y, z_end
-    return rigid_changing_step(x, z, v, h, body, drive, active, p, lock, push)
-
-
-@outlined
-def rigid_changing_step(x, z, v, h, body, drive, active, p, lock, push):
-    """`changing_step` of the arm whose links follow their motors."""
-    return changing_step(cold_step, free_contact, free_margin, x, z, v, h, body, drive, active, p, lock, push)
-
-
-@inlined
-def changing_step(step, find_contact, find_margin, x, z, v, h, body, drive, active, p, lock, push):
-    """`contact_step` where a joint is at rest, or reverses: contacts are found and followed.
-
-    step, find_contact, find_margin : functions like `cold_step`, `free_contact`, `free_margin`.
-    """
-    left = h
-    y, z_end = x, z
-    for _ in range(_CHANGES):
-        held, slip = find_contact(x, z, v, body, drive, active, p, lock, push)
-        stages = active
-        if held[0] + held[1] + held[2] > 0.0:
-            stages = active | LOCKED
-        y, z_end = step(x, z, v, left, body, drive, stages, p, held, slip)
-        g_high = find_margin(y, z_end, v, body, drive, active, p, lock, held, slip)
-        if not g_high < 0.0:
-            return y, z_end
-        low, high = 0.0, left
-        g_low = max(find_margin(x, z, v, body, drive, active, p, lock, held, slip), 0.0)
-        y = halt(y, slip)
-        side = 0
-        for _ in range(_ITERATIONS):
-            if high - low <= _RESOLUTION * h:
-                break
-            middle = 0.5 * (low + high)
-            if g_low > 0.0:
-                middle = low + (high - low) * g_low / (g_low - g_high)
-                if not low < middle < high:
-                    break
-            y_middle, z_middle = step(x, z, v, middle, body, drive, stages, p, held, slip)
-            g = find_margin(y_middle, z_middle, v, body, drive, active, p, lock, held, slip)
-            if g < 0.0:
-                high, g_high = middle, g
-                if side < 0:
-                    g_low *= 0.5
-                side = -1
-                y, z_end = halt(y_middle, slip), z_middle
-            else:
-                low, g_low = middle, g
-                if side > 0:
-                    g_high *= 0.5
-                side = 1
-        x, z = y, z_end
-        left -= high
-        if left <= _RESOLUTION * h:
-            return x, z
-    held, slip = find_contact(x, z, v, body, drive, active, p, lock, push)
-    stages = active
-    if held[0] + held[1] + held[2] > 0.0:
-        stages = active | LOCKED
-    y, z_end = step(x, z, v, left, body, drive, stages, p, held, slip)
-    return halt(y, slip), z_end
+    return changing_step(x, z, v, h, model, p, lock, push)

@@ -14,7 +14,8 @@ from __future__ import annotations
 from math import floor
 
 from puma_sim_core.dynamics.laws import UNBENT
-from puma_sim_core.dynamics.rigid import FREE, NO_SLIP, build_step
+from puma_sim_core.dynamics.rigid import build_arm
+from puma_sim_core.dynamics.types import FREE, NO_SLIP, Model
 from puma_sim_core.jit import compiled, inlined
 
 #: runs side by side: two registers of AVX2, one of AVX-512
@@ -83,7 +84,7 @@ def polynomial_trigonometry(q2, q3):
     return s2, c2, su, cu
 
 
-lane_step = build_step(polynomial_trigonometry)
+_, lane_step = build_arm(polynomial_trigonometry)
 
 
 @inlined
@@ -131,7 +132,7 @@ def step_lanes(a, h, p):
             a[360 + m],
             a[368 + m],
         )
-        y, _ = lane_step(x, UNBENT, v, h, body, drive, 0, p, FREE, NO_SLIP)
+        y, _ = lane_step(x, UNBENT, v, h, Model(body, drive, 0), p, FREE, NO_SLIP)
         a[m] = y[0]
         a[8 + m] = y[1]
         a[16 + m] = y[2]

@@ -2,22 +2,16 @@
 # Copyright the puma-sim contributors
 """Whole runs of the kernel in one call: voltages held row by row, or the digital servo.
 
-The functions here take plain numbers, tuples and flat arrays, so that they compile; `Simulator`
+The functions here take plain numbers, named tuples and flat arrays, so that they compile; `Simulator`
 and `Session` are their callers. A row of `out` holds the state x and the bristles, twelve numbers;
-with `WIDE` stages behind them the measured positions m and the motion of the links, nine more.
-A run stops at the first state that is not finite and returns its row, or -1.
-
-Arguments that all functions share, beside those of `kernel`
-    x       the state of the arm, nine numbers
-    z       deflections of the bristles [rad], then positions [rad] and velocities [rad/s] of the
-            links, which matter where a drive is soft: nine numbers
-    m       measured positions [rad] of the three joints, true ones where nothing is SENSED
+with `WIDE` stages behind them the measured positions m and the rest of z. A run stops at the first
+state that is not finite and returns its row, or -1.
 """
 
 from __future__ import annotations
 
 from puma_sim_core.dynamics.circuit import settled_state
-from puma_sim_core.dynamics.contact import cold_step, contact, contact_step
+from puma_sim_core.dynamics.contact import cold_step, contact, contact_step, with_held
 from puma_sim_core.dynamics.laws import (
     ALGEBRAIC,
     BRISTLE,
@@ -39,11 +33,12 @@ from puma_sim_core.dynamics.laws import (
     with_deflections,
     within_supply,
 )
-from puma_sim_core.dynamics.rigid import FREE, NO_SLIP, STILL, derivative, library_trigonometry, rk4_step
+from puma_sim_core.dynamics.rigid import arm_step, derivative
 from puma_sim_core.dynamics.sensed import measured_after
 from puma_sim_core.dynamics.servo import MEMORY_WIDTH, SERVO_WIDTH, delayed, servo_at_rest, servo_sample
 from puma_sim_core.dynamics.timed import drive_at, push_over
 from puma_sim_core.dynamics.torques import bristle_torques
+from puma_sim_core.dynamics.types import FREE, NO_SLIP, STILL, Model, State
 from puma_sim_core.jit import compiled, inlined, merged, outlined
 
 #: stages whose runs have rows of WIDE_ROW numbers instead of ROW
@@ -75,37 +70,43 @@ def terminal_voltages(v1, v2, v3, p):
 
 
 @merged
-def advance(x, z, m, v, t, h, n, body, drive, active, p, lock):
-    """x, z and m after n steps of h seconds from time t [s] on with the voltages v held."""
-    if active != 0:
-        return advance_stages(x, z, m, v, t, h, n, body, drive, active, p, lock)
+def advance(state, v, t, h, n, model, p, lock):
+    """The state after n steps of h seconds from time t [s] on with the voltages v held."""
+    x, z, m = state
+    if model.active != 0:
+        return advance_stages(state, v, t, h, n, model, p, lock)
     b = deflections_of(z)
+    # the literal 0 lets the compiler drop every stage that is not needed
+    plain = Model(model.body, model.drive, 0)
     for _ in range(n):
-        # the literal 0 lets the compiler drop every stage that is not needed
-        x, b = rk4_step(x, b, v, h, body, drive, 0, p, FREE, NO_SLIP)
-    return x, z, m
+        x, b = arm_step(x, b, v, h, plain, p, FREE, NO_SLIP)
+    return State(x, z, m)
 
 
 @merged
-def advance_stages(x, z, m, v, t, h, n, body, drive, active, p, lock):
+def advance_stages(state, v, t, h, n, model, p, lock):
     """`advance` for a plant with active stages."""
+    x, z, m = state
+    active = model.active
     b = deflections_of(z)
+    # the mask lets the compiler drop the other stages
+    common = Model(model.body, model.drive, active & _COMMON)
     for k in range(n):
-        now, push = drive, STILL
+        now, push = model, STILL
         if active & TIMED:
-            now = drive_at(t + (k + 0.5) * h, drive, p)
+            now = Model(model.body, drive_at(t + (k + 0.5) * h, model.drive, p), active)
             push = push_over(t + k * h, h, p)
         if active & DRY:
-            y, b = contact_step(x, b, v, h, body, now, active, p, lock, push)
+            y, b = contact_step(x, b, v, h, now, p, lock, push)
         elif active & ~_COMMON == 0:
-            # the mask lets the compiler drop the other stages
-            y, b = rk4_step(x, b, v, h, body, now, active & _COMMON, p, lock, NO_SLIP)
+            y, b = arm_step(x, b, v, h, common, p, lock, NO_SLIP)
         else:
-            y, b = cold_step(x, b, v, h, body, now, active, p, lock, (0.0, 0.0, 0.0, -push[0], -push[1], -push[2]))
+            outside = (0.0, 0.0, 0.0, -push[0], -push[1], -push[2])
+            y, b = cold_step(x, b, v, h, now, p, lock, outside)
         if active & SENSED:
             m = measured_after(m, x, y, h, p)
         x = y
-    return x, with_deflections(z, b), m
+    return State(x, with_deflections(z, b), m)
 
 
 @inlined
@@ -134,19 +135,36 @@ def store_wide(out, r, z, m):
         out[r, ROW + 3 + j] = z[3 + j]
 
 
+@inlined
+def terminals(volts, r, p):
+    """Voltages [V] at the three motors' terminals for row r of the commanded ones."""
+    return (
+        terminal_voltage(0, volts[r][0], p),
+        terminal_voltage(1, volts[r][1], p),
+        terminal_voltage(2, volts[r][2], p),
+    )
+
+
+@inlined
+def store_state(out, r, state, active):
+    """Write a state to row r."""
+    store(out, r, state.x, state.z)
+    if active & WIDE:
+        store_wide(out, r, state.z, state.m)
+
+
 @outlined
-def run_plain(x, z, volts, counts, steps, body, drive, p, out):
+def run_plain(state, rows, constants, out):
     """`run_voltages` for a plant that needs no stage, in a loop that has nothing else in it."""
+    model, p = constants
+    x, z = state.x, state.z
+    plain = Model(model.body, model.drive, 0)
     store(out, 0, x, z)
-    for r in range(len(counts)):
-        v = (
-            terminal_voltage(0, volts[r][0], p),
-            terminal_voltage(1, volts[r][1], p),
-            terminal_voltage(2, volts[r][2], p),
-        )
-        b = deflections_of(z)
-        for _ in range(counts[r]):
-            x, b = rk4_step(x, b, v, steps[r], body, drive, 0, p, FREE, NO_SLIP)
+    b = deflections_of(z)
+    for r in range(len(rows.count)):
+        v = terminals(rows.voltage, r, p)
+        for _ in range(rows.count[r]):
+            x, b = arm_step(x, b, v, rows.step[r], plain, p, FREE, NO_SLIP)
         if not is_finite(x):
             return r + 1
         store(out, r + 1, x, z)
@@ -154,36 +172,28 @@ def run_plain(x, z, volts, counts, steps, body, drive, p, out):
 
 
 @compiled
-def run_voltages(x, z, m, volts, times, counts, steps, body, drive, active, p, lock, out):
+def run_voltages(state, rows, constants, lock, out):
     """Run with voltages held row by row.
 
-    volts (n, 3) [V] as they reach the amplifiers, a delay of the input taken out; row r is held from
-    times[r] [s] for counts[r] steps of steps[r] seconds; out (n + 1, ROW or WIDE_ROW), whose row r
-    is the state at the start of row r. Returns the first row that is not finite, or -1.
+    rows : voltages (n, 3) [V] as they reach the amplifiers, a delay of the input taken out; out (n + 1, ROW or
+    WIDE_ROW), whose row r is the state at the start of row r. Returns the first row that is not finite, or -1.
     """
-    if active == 0:
-        return run_plain(x, z, volts, counts, steps, body, drive, p, out)
-    return held_rows(advance, x, z, m, volts, times, counts, steps, body, drive, active, p, lock, out)
+    if constants.model.active == 0:
+        return run_plain(state, rows, constants, out)
+    return held_rows(advance, state, rows, constants, lock, out)
 
 
 @merged
-def held_rows(advance, x, z, m, volts, times, counts, steps, body, drive, active, p, lock, out):
+def held_rows(advance, state, rows, constants, lock, out):
     """`run_voltages` with a function like `advance`."""
-    store(out, 0, x, z)
-    if active & WIDE:
-        store_wide(out, 0, z, m)
-    for r in range(len(counts)):
-        v = (
-            terminal_voltage(0, volts[r][0], p),
-            terminal_voltage(1, volts[r][1], p),
-            terminal_voltage(2, volts[r][2], p),
-        )
-        x, z, m = advance(x, z, m, v, times[r], steps[r], counts[r], body, drive, active, p, lock)
-        if not is_finite(x):
+    model, p = constants
+    store_state(out, 0, state, model.active)
+    for r in range(len(rows.count)):
+        v = terminals(rows.voltage, r, p)
+        state = advance(state, v, rows.time[r], rows.step[r], rows.count[r], model, p, lock)
+        if not is_finite(state.x):
             return r + 1
-        store(out, r + 1, x, z)
-        if active & WIDE:
-            store_wide(out, r + 1, z, m)
+        store_state(out, r + 1, state, model.active)
     return -1
 
 
@@ -201,79 +211,51 @@ def arriving(j, u, late):
 
 
 @compiled
-def run_servo(
-    x, z, m, start, setpoints, samples, steps, h, servo, memory, late, body, drive, active, p, lock, out, volts
-):
-    """Run under the digital servo from time `start` [s] on.
+def run_servo(state, setpoints, loop, constants, lock, out, volts):
+    """Run under the digital servo.
 
-    setpoints (n, 3) [rad], each held for `samples` samples of `steps` steps of h seconds; servo:
-    the table of `ServoConfig`; memory: flat, `servo_memory` and `ServoConfig.held_back`, taken up
-    and left as the servo's memory; late: the table of `delay.SampledDelay`, taken up and left.
-    out (n * samples + 1, ROW or WIDE_ROW) and volts (n * samples, 3), as the servo asks for them,
-    a row a sample. Returns the first row of `out` that is not finite, or -1.
+    setpoints (n, 3) [rad]; loop : `ServoLoop`; out (n * samples + 1, ROW or WIDE_ROW) and volts (n * samples, 3), as
+    the servo asks for them, a row a sample. Returns the first row of `out` that is not finite, or -1.
     """
-    return servo_rows(
-        advance,
-        x,
-        z,
-        m,
-        start,
-        setpoints,
-        samples,
-        steps,
-        h,
-        servo,
-        memory,
-        late,
-        body,
-        drive,
-        active,
-        p,
-        lock,
-        out,
-        volts,
-    )
+    return servo_rows(advance, state, setpoints, loop, constants, lock, out, volts)
 
 
 @merged
-def servo_rows(
-    advance, x, z, m, start, setpoints, samples, steps, h, servo, memory, late, body, drive, active, p, lock, out, volts
-):
+def servo_rows(advance, state, setpoints, loop, constants, lock, out, volts):
     """`run_servo` with a function like `advance`."""
-    store(out, 0, x, z)
-    if active & WIDE:
-        store_wide(out, 0, z, m)
+    model, p = constants
+    active = model.active
+    store_state(out, 0, state, active)
     row = 0
     pieces = 2 if active & DELAYED else 1
     for r in range(len(setpoints)):
-        for _ in range(samples):
+        for _ in range(loop.samples):
             for j in range(3):
                 k = j * MEMORY_WIDTH
-                u, memory[k], memory[k + 1] = servo_sample(
-                    setpoints[r][j], m[j] if active & SENSED else x[j], memory[k], memory[k + 1], servo, j * SERVO_WIDTH
+                seen = state.m[j] if active & SENSED else state.x[j]
+                u, loop.memory[k], loop.memory[k + 1] = servo_sample(
+                    setpoints[r][j], seen, loop.memory[k], loop.memory[k + 1], loop.table, j * SERVO_WIDTH
                 )
-                volts[row, j] = delayed(j, u, memory, servo)
+                volts[row, j] = delayed(j, u, loop.memory, loop.table)
             u1, u2, u3 = volts[row, 0], volts[row, 1], volts[row, 2]
             o1, o2, o3 = u1, u2, u3
-            t, n, step = start + row * (steps * h), steps, h
+            t, n, step = loop.start + row * (loop.steps * loop.h), loop.steps, loop.h
             if active & DELAYED:
-                o1, u1 = arriving(0, u1, late)
-                o2, u2 = arriving(1, u2, late)
-                o3, u3 = arriving(2, u3, late)
-                n, step = int(late[0]), late[1]
+                o1, u1 = arriving(0, u1, loop.late)
+                o2, u2 = arriving(1, u2, loop.late)
+                o3, u3 = arriving(2, u3, loop.late)
+                n, step = int(loop.late[0]), loop.late[1]
             for _ in range(pieces):
                 v = (terminal_voltage(0, o1, p), terminal_voltage(1, o2, p), terminal_voltage(2, o3, p))
-                x, z, m = advance(x, z, m, v, t, step, n, body, drive, active, p, lock)
+                state = advance(state, v, t, step, n, model, p, lock)
                 if active & DELAYED:
                     o1, o2, o3 = u1, u2, u3
                     t += n * step
-                    n, step = int(late[2]), late[3]
+                    n, step = int(loop.late[2]), loop.late[3]
             row += 1
-            if not is_finite(x):
+            if not is_finite(state.x):
                 return row
-            store(out, row, x, z)
-            if active & WIDE:
-                store_wide(out, row, z, m)
+            store_state(out, row, state, active)
     return -1
 
 
@@ -290,53 +272,36 @@ def servo_memory(setpoint, position, servo):
     return total1, before1, total2, before2, total3, before3
 
 
+@inlined
+def x_in_row(out, r):
+    """State of the arm in a row of a run."""
+    return (out[r, 0], out[r, 1], out[r, 2], out[r, 3], out[r, 4], out[r, 5], out[r, 6], out[r, 7], out[r, 8])
+
+
 @compiled
-def accelerations(out, volts, times, body, drive, active, p, lock, result):
+def accelerations(out, rows, constants, lock, result):
     """Joint accelerations [rad/s^2] at the rows of `out`, written to result (n, 3).
 
-    volts (n, 3): the voltage that reaches the amplifiers from each row on; times (n,) [s].
+    rows : the voltage that reaches the amplifiers from each row on, and their times.
     """
+    model, p = constants
+    active = model.active
     for r in range(len(result)):
-        x = (out[r, 0], out[r, 1], out[r, 2], out[r, 3], out[r, 4], out[r, 5], out[r, 6], out[r, 7], out[r, 8])
-        v = (
-            terminal_voltage(0, volts[r][0], p),
-            terminal_voltage(1, volts[r][1], p),
-            terminal_voltage(2, volts[r][2], p),
-        )
-        now, push = drive, STILL
+        x = x_in_row(out, r)
+        v = terminals(rows.voltage, r, p)
+        now, push = model.drive, STILL
         if active & TIMED:
-            now, push = drive_at(times[r], drive, p), push_over(times[r], 0.0, p)
+            now, push = drive_at(rows.time[r], model.drive, p), push_over(rows.time[r], 0.0, p)
+        at = Model(model.body, now, active)
         if active & ALGEBRAIC:
-            x = settled_state(x, v, now, active, p)
+            x = settled_state(x, v, at, p)
         slip = (0.0, 0.0, 0.0, -push[0], -push[1], -push[2])
-        held, bend, stages = lock, STILL, active
+        held, bend = lock, STILL
         if active & DRY:
-            held, slip = contact(x, body, now, active, p, lock, push)
-            if held[0] + held[1] + held[2] > 0.0:
-                stages = active | LOCKED
+            held, slip = contact(x, STILL, STILL, at, p, lock, push)
+            at = with_held(at, held)
         if active & BRISTLE:
             _, bend = bristle_torques(deflections_in_row(out, r, active), 0.0, 0.0, 0.0, STILL, p)
-        a = derivative(
-            x[0],
-            x[1],
-            x[2],
-            x[3],
-            x[4],
-            x[5],
-            x[6],
-            x[7],
-            x[8],
-            v[0],
-            v[1],
-            v[2],
-            library_trigonometry(x[1], x[2]),
-            body,
-            now,
-            stages,
-            p,
-            held,
-            slip,
-            bend,
-        )
+        a = derivative(x, v, at, p, held, slip, bend)
         for j in range(3):
-            result[r, j] = a[j]
+            result[r, j] = a[3 + j]

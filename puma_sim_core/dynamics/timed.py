@@ -10,14 +10,15 @@ its mean over the step, which keeps its momentum. Both are of second order in th
 from __future__ import annotations
 
 from puma_sim_core.dynamics.laws import WIDTH, push_law, resistance_factor, viscous_factor
+from puma_sim_core.dynamics.types import Drive
 from puma_sim_core.jit import inlined
 
 
 @inlined
 def drive_at(time, drive, p):
-    """The kernel's `drive` at a time [s]."""
+    """The constants of the drives at a time [s]."""
     y1, r1, k1, n1, h1, y2, r2, k2, n2, h2, y3, r3, k3, n3, h3 = drive
-    return (
+    return Drive(
         y1,
         r1 * resistance_factor(p, 0, time),
         k1,

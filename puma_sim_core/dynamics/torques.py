@@ -145,9 +145,9 @@ def gravity_torques(trig, body):
 
 
 @inlined
-def smooth_torques(q1, q2, q3, w1, w2, w3, p):
+def smooth_torques(x, p):
     """`smooth_torque` of the three joints."""
-    return smooth_torque(0, q1, w1, p), smooth_torque(1, q2, w2, p), smooth_torque(2, q3, w3, p)
+    return smooth_torque(0, x[0], x[3], p), smooth_torque(1, x[1], x[4], p), smooth_torque(2, x[2], x[5], p)
 
 
 @outlined
@@ -157,26 +157,21 @@ def tilted_torques(q1, trig, body, p):
 
 
 @inlined
-def pose_levels(q1, q2, q3, t1, t2, t3, trig, body, p):
-    """`pose_level` of the three joints."""
-    G2, G3 = gravity_torques(trig, body)
-    return (pose_level(0, q1, 0.0, t1, p), pose_level(1, q2, G2, t2, p), pose_level(2, q3, G3, t3, p))
-
-
-@inlined
-def effect_torques(q1, q2, q3, w1, w2, w3, t1, t2, t3, trig, body, active, p, slip, bend):
+def effect_torques(x, t, trig, model, p, slip, bend):
     """Torques at the joints [N.m] less what the active effects take.
 
-    t1, t2, t3 : what the motors give after viscous friction, which is what loads the gears.
+    x : positions and velocities, what stands behind them is not read; t : what the motors give after viscous friction
+    [N.m], which is what loads the gears.
     """
-    m1, m2, m3 = t1, t2, t3
+    body, _, active = model
+    t1, t2, t3 = t
     if active & SMOOTH:
-        f1, f2, f3 = smooth_torques(q1, q2, q3, w1, w2, w3, p)
+        f1, f2, f3 = smooth_torques(x, p)
         t1 -= f1
         t2 -= f2
         t3 -= f3
     if active & TILT:
-        g1, g2, g3 = tilted_torques(q1, trig, body, p)
+        g1, g2, g3 = tilted_torques(x[0], trig, body, p)
         t1 -= g1
         t2 -= g2
         t3 -= g3
@@ -186,14 +181,14 @@ def effect_torques(q1, q2, q3, w1, w2, w3, t1, t2, t3, trig, body, active, p, sl
         t2 -= c2
         t3 -= c3
         if active & VARYING:
-            t1 -= s1 * speed_law(p, 0, abs(w1))
-            t2 -= s2 * speed_law(p, WIDTH, abs(w2))
-            t3 -= s3 * speed_law(p, 2 * WIDTH, abs(w3))
+            t1 -= s1 * speed_law(p, 0, abs(x[3]))
+            t2 -= s2 * speed_law(p, WIDTH, abs(x[4]))
+            t3 -= s3 * speed_law(p, 2 * WIDTH, abs(x[5]))
         if active & POSED:
-            f1, f2, f3 = pose_levels(q1, q2, q3, m1, m2, m3, trig, body, p)
-            t1 -= s1 * f1
-            t2 -= s2 * f2
-            t3 -= s3 * f3
+            G2, G3 = gravity_torques(trig, body)
+            t1 -= s1 * pose_level(0, x[0], 0.0, t[0], p)
+            t2 -= s2 * pose_level(1, x[1], G2, t[1], p)
+            t3 -= s3 * pose_level(2, x[2], G3, t[2], p)
     if active & BRISTLE:
         f1, f2, f3 = bend
         t1 -= f1
@@ -203,13 +198,14 @@ def effect_torques(q1, q2, q3, w1, w2, w3, t1, t2, t3, trig, body, active, p, sl
 
 
 @inlined
-def bristle_levels(q1, q2, q3, w1, w2, w3, motors, trig, body, p):
-    """`bristle_level` of the three joints; motors : what they give after viscous friction."""
+def bristle_levels(x, motors, trig, model, p):
+    """`bristle_level` of the three joints; motors : what they give after viscous friction [N.m]."""
+    body = model.body
     G2, G3 = gravity_torques(trig, body)
     return (
-        bristle_level(0, q1, 0.0, motors[0], w1, p),
-        bristle_level(1, q2, G2, motors[1], w2, p),
-        bristle_level(2, q3, G3, motors[2], w3, p),
+        bristle_level(0, x[0], 0.0, motors[0], x[3], p),
+        bristle_level(1, x[1], G2, motors[1], x[4], p),
+        bristle_level(2, x[2], G3, motors[2], x[5], p),
     )
 
 

@@ -16,28 +16,20 @@ so that a transmission error is exact in its amplitude e. What a model of first 
 lack was measured over 5 s of all joints in motion, e = 1 mrad on one of them: 1e-7 rad at one
 period a turn, 1e-5 at eight, 2e-4 at fifty, of an effect on the motor's position of 5e-4 to 3e-3.
 
-The state is that of `kernel`: it belongs to the motors, and is what encoders on them measure.
-Behind the deflections of the bristles, z holds positions [rad] and velocities [rad/s] of the three
-links. Arguments are those of `kernel`, with the table of `drive_train.DriveTrains` behind p, the
-body made of its `link_arm`, and in v, behind the voltages, the torques [N.m] that push the links
-from outside. A constraint holds the motor of a soft joint, not its link.
+The state x belongs to the motors, and is what encoders on them measure. Behind the deflections of the bristles, z
+holds positions [rad] and velocities [rad/s] of the three links. Arguments are those of `types`, with the table of
+`plant.drive_train` behind p, the body made of its `link_arm`, and in v, behind the voltages, the torques [N.m] that
+push the links from outside. A constraint holds the motor of a soft joint, not its link.
 """
 
 from __future__ import annotations
 
-from puma_sim_core.dynamics.circuit import (
-    electric_rates,
-    limited_currents,
-    motor_torques,
-    settled_currents,
-    settled_state,
-)
-from puma_sim_core.dynamics.contact import changing_step, contact_of, margin
+from puma_sim_core.dynamics.circuit import electric_rates, settled_state
+from puma_sim_core.dynamics.contact import build_changing_step, build_contact
 from puma_sim_core.dynamics.laws import (
     ALGEBRAIC,
     AT_REST,
     BRISTLE,
-    CURRENT_LIMIT,
     DRY,
     SMOOTH,
     TILT,
@@ -45,8 +37,10 @@ from puma_sim_core.dynamics.laws import (
     with_deflections,
     with_links,
 )
-from puma_sim_core.dynamics.rigid import NO_SLIP, STILL, library_trigonometry, remove_rows, rigid_body, solve
-from puma_sim_core.dynamics.torques import bristle_levels, bristle_torques, effect_torques, link_torque, motor_torque
+from puma_sim_core.dynamics.rigid import library_trigonometry, remove_rows, rigid_body, solve
+from puma_sim_core.dynamics.rk4 import System, build_step
+from puma_sim_core.dynamics.torques import bristle_torques, effect_torques, link_torque, motor_torque
+from puma_sim_core.dynamics.types import NO_SLIP, STILL, Model
 from puma_sim_core.effects.shared.drive_train import (
     TRAIN_WIDTH,
     gear_output,
@@ -55,7 +49,7 @@ from puma_sim_core.effects.shared.drive_train import (
     transmitted,
     twist_under,
 )
-from puma_sim_core.jit import inlined, outlined
+from puma_sim_core.jit import inlined, interpreted, outlined
 
 
 @inlined
@@ -107,27 +101,14 @@ def coupling(k, q, w, ql, wl, p):
 
 
 @inlined
-def rotor_torques(x, body, drive, active, p, slip, bend):
+def rotor_torques(x, model, p, slip, bend):
     """Torques [N.m] of the motors less friction and what else acts on the rotors."""
     q1, q2, q3, w1, w2, w3, i1, i2, i3 = x
+    body, drive, active = model
     _, _, _, n1, h1, _, _, _, n2, h2, _, _, _, n3, h3 = drive
-    t1, t2, t3 = effect_torques(
-        q1,
-        q2,
-        q3,
-        w1,
-        w2,
-        w3,
-        n1 * i1 - h1 * w1,
-        n2 * i2 - h2 * w2,
-        n3 * i3 - h3 * w3,
-        library_trigonometry(q2, q3),
-        body,
-        active & ~(SMOOTH | TILT),
-        p,
-        slip,
-        bend,
-    )
+    motors = (n1 * i1 - h1 * w1, n2 * i2 - h2 * w2, n3 * i3 - h3 * w3)
+    own = Model(body, drive, active & ~(SMOOTH | TILT))
+    t1, t2, t3 = effect_torques(x, motors, library_trigonometry(q2, q3), own, p, slip, bend)
     if active & SMOOTH:
         t1 -= motor_torque(0, q1, w1, p)
         t2 -= motor_torque(1, q2, w2, p)
@@ -136,13 +117,12 @@ def rotor_torques(x, body, drive, active, p, slip, bend):
 
 
 @inlined
-def link_torques(s, t1, t2, t3, trig, push, body, active, p):
-    """Torques [N.m] on the links with what stops, springs and the outside do."""
-    t1 += push[0]
-    t2 += push[1]
-    t3 += push[2]
+def link_torques(s, t, trig, push, model, p):
+    """Torques [N.m] on the links with what stops, springs and the outside do; t : those of the joints."""
+    body, drive, active = model
+    t1, t2, t3 = t[0] + push[0], t[1] + push[1], t[2] + push[2]
     if active & TILT:
-        t1, t2, t3 = effect_torques(s[0], s[1], s[2], s[3], s[4], s[5], t1, t2, t3, trig, body, TILT, p, NO_SLIP, STILL)
+        t1, t2, t3 = effect_torques(s, (t1, t2, t3), trig, Model(body, drive, TILT), p, NO_SLIP, STILL)
     if active & SMOOTH:
         t1 -= link_torque(0, s[0], s[3], p)
         t2 -= link_torque(1, s[1], s[4], p)
@@ -159,40 +139,28 @@ def rotor_row(k, m, b, factor, torque, p):
 
 
 @outlined
-def link_system(x, s, v, body, drive, active, p, slip, bend):
+def link_system(x, s, v, model, p, slip, bend):
     """M and b of the rows of the links, and the torques [N.m] that accelerate soft rotors.
 
     The unknowns are accelerations: of the link where the joint is soft, of the motor where it is
     rigid. s : `link_motions`.
     """
     k1, k2, k3 = trains(p)
-    rotor = rotor_torques(x, body, drive, active, p, slip, bend)
+    rotor = rotor_torques(x, model, p, slip, bend)
     tau1, g1, f1, c1 = coupling(k1, x[0], x[3], s[0], s[3], p)
     tau2, g2, f2, c2 = coupling(k2, x[1], x[4], s[1], s[4], p)
     tau3, g3, f3, c3 = coupling(k3, x[2], x[5], s[2], s[5], p)
     trig = library_trigonometry(s[1], s[2])
-    t1, t2, t3 = link_torques(s, tau1, tau2, tau3, trig, (v[3], v[4], v[5]), body, active, p)
-    m11, m12, m13, m22, m23, m33, b1, b2, b3 = rigid_body(s[3], s[4], s[5], t1, t2, t3, trig, body)
+    t1, t2, t3 = link_torques(s, (tau1, tau2, tau3), trig, (v[3], v[4], v[5]), model, p)
+    m11, m12, m13, m22, m23, m33, b1, b2, b3 = rigid_body(s[3], s[4], s[5], t1, t2, t3, trig, model.body)
     b1 -= m11 * c1 + m12 * c2 + m13 * c3
     b2 -= m12 * c1 + m22 * c2 + m23 * c3
     b3 -= m13 * c1 + m23 * c2 + m33 * c3
     m11, b1 = rotor_row(k1, m11, b1, f1, rotor[0], p)
     m22, b2 = rotor_row(k2, m22, b2, f2, rotor[1], p)
     m33, b3 = rotor_row(k3, m33, b3, f3, rotor[2], p)
-    return (
-        m11,
-        f1 * f2 * m12,
-        f1 * f3 * m13,
-        m22,
-        f2 * f3 * m23,
-        m33,
-        b1,
-        b2,
-        b3,
-        rotor[0] - g1 * tau1,
-        rotor[1] - g2 * tau2,
-        rotor[2] - g3 * tau3,
-    )
+    system = (m11, f1 * f2 * m12, f1 * f3 * m13, m22, f2 * f3 * m23, m33, b1, b2, b3)
+    return system, (rotor[0] - g1 * tau1, rotor[1] - g2 * tau2, rotor[2] - g3 * tau3)
 
 
 @inlined
@@ -212,20 +180,19 @@ def rotor_acceleration(k, own, torque, locked, given, p):
 
 
 @outlined
-def rates(y, v, body, drive, active, p, lock, slip, bend):
+def rates(y, v, model, p, lock, slip, bend):
     """Derivative of (q, qd, i, ql, qdl), fifteen numbers; zero for the links of rigid joints."""
+    body, drive, active = model
     k1, k2, k3 = trains(p)
-    q1, q2, q3, w1, w2, w3, i1, i2, i3, l1, l2, l3, u1, u2, u3 = y
-    i1, i2, i3, e1, e2, e3 = electric_rates(i1, i2, i3, w1, w2, w3, v[0], v[1], v[2], drive, active, p)
-    x = (q1, q2, q3, w1, w2, w3, i1, i2, i3)
-    s = link_motions(x, (l1, l2, l3, u1, u2, u3), p)
-    n = link_system(x, s, v, body, drive, active, p, slip, bend)
-    r = remove_rows(n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7], n[8], rigid_lock(lock, p))
-    a1, a2, a3 = solve(r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8])
-    a1, d1 = rotor_acceleration(k1, a1, n[9], lock[0], lock[3], p)
-    a2, d2 = rotor_acceleration(k2, a2, n[10], lock[1], lock[4], p)
-    a3, d3 = rotor_acceleration(k3, a3, n[11], lock[2], lock[5], p)
-    return w1, w2, w3, a1, a2, a3, e1, e2, e3, u1, u2, u3, d1, d2, d3
+    i1, i2, i3, e1, e2, e3 = electric_rates(y, v, model, p)
+    x = (y[0], y[1], y[2], y[3], y[4], y[5], i1, i2, i3)
+    s = link_motions(x, (y[9], y[10], y[11], y[12], y[13], y[14]), p)
+    system, torques = link_system(x, s, v, model, p, slip, bend)
+    a1, a2, a3 = solve(remove_rows(system, rigid_lock(lock, p)))
+    a1, d1 = rotor_acceleration(k1, a1, torques[0], lock[0], lock[3], p)
+    a2, d2 = rotor_acceleration(k2, a2, torques[1], lock[1], lock[4], p)
+    a3, d3 = rotor_acceleration(k3, a3, torques[2], lock[2], lock[5], p)
+    return y[3], y[4], y[5], a1, a2, a3, e1, e2, e3, y[12], y[13], y[14], d1, d2, d3
 
 
 @outlined
@@ -251,57 +218,40 @@ def moved(y, h, k):
 
 
 @inlined
-def mean_rate(a, b, c, d):
+def weighted(a, b, c, d):
     """Sum a + 2 (b + c) + d of four rates, fifteen numbers."""
     return moved(moved(a, 1.0, d), 2.0, moved(b, 1.0, c))
 
 
 @inlined
-def levels_half_way(y, v, body, drive, active, p):
-    """`bristle_levels` at the motors' positions and velocities."""
-    motors = motor_torques(y[6], y[7], y[8], y[3], y[4], y[5], v[0], v[1], v[2], drive, active, p)
-    return bristle_levels(y[0], y[1], y[2], y[3], y[4], y[5], motors, library_trigonometry(y[1], y[2]), body, p)
-
-
-@outlined
-def two_mass_step(x, z, v, h, body, drive, active, p, lock, slip):
-    """State and z after one classical Runge-Kutta step of h seconds, as `kernel.rk4_step`."""
-    half = 0.5 * h
-    y = (x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8], z[3], z[4], z[5], z[6], z[7], z[8])
-    bristles = deflections_of(z)
-    bend, level = STILL, STILL
-    if active & BRISTLE:
-        _, bend = bristle_torques(bristles, 0.0, 0.0, 0.0, level, p)
-    a = rates(y, v, body, drive, active, p, lock, slip, bend)
-    y_half = moved(y, half, a)
-    if active & BRISTLE:
-        level = levels_half_way(y_half, v, body, drive, active, p)
-        _, bend = bristle_torques(bristles, half * a[0], half * a[1], half * a[2], level, p)
-    b = rates(y_half, v, body, drive, active, p, lock, slip, bend)
-    if active & BRISTLE:
-        _, bend = bristle_torques(bristles, half * b[0], half * b[1], half * b[2], level, p)
-    c = rates(moved(y, half, b), v, body, drive, active, p, lock, slip, bend)
-    if active & BRISTLE:
-        _, bend = bristle_torques(bristles, h * c[0], h * c[1], h * c[2], level, p)
-    d = rates(moved(y, h, c), v, body, drive, active, p, lock, slip, bend)
-    m = mean_rate(a, b, c, d)
-    sixth = h / 6.0
-    y = moved(y, sixth, m)
-    if active & BRISTLE:
-        bristles, _ = bristle_torques(bristles, sixth * m[0], sixth * m[1], sixth * m[2], level, p)
-    i1, i2, i3 = y[6], y[7], y[8]
-    if active & CURRENT_LIMIT:
-        i1, i2, i3 = limited_currents(i1, i2, i3, p)
-    if active & ALGEBRAIC:
-        i1, i2, i3 = settled_currents(i1, i2, i3, y[3], y[4], y[5], v[0], v[1], v[2], drive, active, p)
-    x = (y[0], y[1], y[2], y[3], y[4], y[5], i1, i2, i3)
-    s = link_motions(x, (y[9], y[10], y[11], y[12], y[13], y[14]), p)
-    return x, with_links(with_deflections(z, bristles), s)
+def with_links_behind(x, z):
+    """(q, qd, i, ql, qdl), fifteen numbers."""
+    return (x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8], z[3], z[4], z[5], z[6], z[7], z[8])
 
 
 @inlined
-def without_link(k, c, m11, m12, m13, m22, m23, m33, b1, b2, b3, torque, p):
+def with_currents(y, i1, i2, i3):
+    """y with other currents [A]."""
+    return (y[0], y[1], y[2], y[3], y[4], y[5], i1, i2, i3, y[9], y[10], y[11], y[12], y[13], y[14])
+
+
+_rk4_step = build_step(System(rates, moved, weighted, with_currents, library_trigonometry))
+
+
+@outlined
+def two_mass_step(x, z, v, h, model, p, lock, slip):
+    """State and z after one Runge-Kutta step of h seconds, as `rigid.arm_step`."""
+    y = with_links_behind(x, z)
+    y, bent = _rk4_step(y, deflections_of(z), v, h, model, p, lock, slip)
+    x = (y[0], y[1], y[2], y[3], y[4], y[5], y[6], y[7], y[8])
+    s = link_motions(x, (y[9], y[10], y[11], y[12], y[13], y[14]), p)
+    return x, with_links(with_deflections(z, bent), s)
+
+
+@inlined
+def without_link(k, c, system, torque, p):
     """The system with the link's row c of a soft joint eliminated and its rotor's in its place."""
+    m11, m12, m13, m22, m23, m33, b1, b2, b3 = system
     if not is_soft(p, k):
         return m11, m12, m13, m22, m23, m33, b1, b2, b3
     inertia = rotor_inertia(p, k)
@@ -316,34 +266,26 @@ def without_link(k, c, m11, m12, m13, m22, m23, m33, b1, b2, b3, torque, p):
 
 
 @outlined
-def motor_system(x, z, v, slip, body, drive, active, p):
-    """M and b of the motors alone, with friction on the sliding ones: what `contact` decides by.
+def motor_system(x, z, v, slip, model, p):
+    """M and b of the motors alone, with friction on the sliding ones: what contacts are decided by.
 
     A soft rotor has a row without couplings; the links of soft joints, which no friction holds,
     are eliminated.
     """
     k1, k2, k3 = trains(p)
     s = link_motions(x, (z[3], z[4], z[5], z[6], z[7], z[8]), p)
-    n = link_system(x, s, v, body, drive, active, p, slip, STILL)
-    r = without_link(k1, 0, n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7], n[8], n[9], p)
-    r = without_link(k2, 1, r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], n[10], p)
-    return without_link(k3, 2, r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], n[11], p)
+    system, torques = link_system(x, s, v, model, p, slip, STILL)
+    system = without_link(k1, 0, system, torques[0], p)
+    system = without_link(k2, 1, system, torques[1], p)
+    return without_link(k3, 2, system, torques[2], p)
+
+
+motor_contact, motor_margin = (outlined(interpreted(found)) for found in build_contact(motor_system))
+_changing_step = build_changing_step(two_mass_step, motor_contact, motor_margin)
 
 
 @outlined
-def motor_contact(x, z, v, body, drive, active, p, lock, push):
-    """`contact.contact_of` the motors, links apart."""
-    return contact_of(motor_system, x, z, v, body, drive, active, p, lock, push)
-
-
-@outlined
-def motor_margin(x, z, v, body, drive, active, p, lock, held, slip):
-    """`contact.margin` of the motors, links apart."""
-    return margin(motor_system, x, z, v, body, drive, active, p, lock, held, slip)
-
-
-@outlined
-def train_step(x, z, v, h, body, drive, active, p, lock, push):
+def train_step(x, z, v, h, model, p, lock, push):
     """State and z after `h` seconds, in as many steps as the drive trains need.
 
     Arguments as `contact.contact_step`: v are the voltages, push the torques from outside.
@@ -352,39 +294,28 @@ def train_step(x, z, v, h, body, drive, active, p, lock, push):
     part = h / count
     held = (v[0], v[1], v[2], push[0], push[1], push[2])
     for _ in range(count):
-        if active & DRY:
-            if active & ALGEBRAIC:
-                x = settled_state(x, v, drive, active, p)
-            x, z = changing_step(
-                two_mass_step, motor_contact, motor_margin, x, z, held, part, body, drive, active, p, lock, STILL
-            )
+        if model.active & DRY:
+            if model.active & ALGEBRAIC:
+                x = settled_state(x, v, model, p)
+            x, z = _changing_step(x, z, held, part, model, p, lock, STILL)
         else:
-            x, z = two_mass_step(x, z, held, part, body, drive, active, p, lock, NO_SLIP)
+            x, z = two_mass_step(x, z, held, part, model, p, lock, NO_SLIP)
     return x, z
 
 
 @outlined
-def train_rates(x, z, v, body, drive, active, p, lock, push):
+def train_rates(x, z, v, model, p, lock, push):
     """`rates` at a state, with the joints that stick found and the bristles bent as they are."""
     held = (v[0], v[1], v[2], push[0], push[1], push[2])
     still, slip, bend = lock, NO_SLIP, STILL
-    if active & ALGEBRAIC:
-        x = settled_state(x, v, drive, active, p)
-    if active & DRY:
-        still, slip = motor_contact(x, z, held, body, drive, active, p, lock, STILL)
-    if active & BRISTLE:
+    if model.active & ALGEBRAIC:
+        x = settled_state(x, v, model, p)
+    if model.active & DRY:
+        still, slip = motor_contact(x, z, held, model, p, lock, STILL)
+    if model.active & BRISTLE:
         _, bend = bristle_torques(deflections_of(z), 0.0, 0.0, 0.0, STILL, p)
-    return rates(
-        (x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8], z[3], z[4], z[5], z[6], z[7], z[8]),
-        held,
-        body,
-        drive,
-        active,
-        p,
-        still,
-        slip,
-        bend,
-    )
+    y = with_links_behind(x, z)
+    return rates(y, held, model, p, still, slip, bend)
 
 
 @inlined
@@ -402,16 +333,16 @@ def link_acceleration(k, q, w, a, p):
 
 
 @outlined
-def settled_links(x, body, drive, active, stiff, p, lock, push):
+def settled_links(x, model, p, stiff, lock, push):
     """Positions and velocities of links that follow their motors without swinging, six numbers.
 
     Each joint is twisted by the torque that its link would take if no joint were soft; play lies
-    on the side of that torque. stiff : p with its joints made rigid.
+    on the side of that torque. stiff : the table with its joints made rigid.
     """
     k1, k2, k3 = trains(p)
     v = (0.0, 0.0, 0.0)
-    stages = active & ~ALGEBRAIC
-    r = train_rates(x, AT_REST, v, body, drive, stages, stiff, lock, push)
+    rigid = Model(model.body, model.drive, model.active & ~ALGEBRAIC)
+    r = train_rates(x, AT_REST, v, rigid, stiff, lock, push)
     a1 = link_acceleration(k1, x[0], x[3], r[3], p)
     a2 = link_acceleration(k2, x[1], x[4], r[4], p)
     a3 = link_acceleration(k3, x[2], x[5], r[5], p)
@@ -419,8 +350,8 @@ def settled_links(x, body, drive, active, stiff, p, lock, push):
     # the weight and inertia of the twisted arm differ a little from those of the straight one
     for _ in range(3):
         trig = library_trigonometry(s[1], s[2])
-        e1, e2, e3 = link_torques(s, 0.0, 0.0, 0.0, trig, push, body, active, p)
-        m11, m12, m13, m22, m23, m33, b1, b2, b3 = rigid_body(s[3], s[4], s[5], e1, e2, e3, trig, body)
+        e1, e2, e3 = link_torques(s, (0.0, 0.0, 0.0), trig, push, model, p)
+        m11, m12, m13, m22, m23, m33, b1, b2, b3 = rigid_body(s[3], s[4], s[5], e1, e2, e3, trig, model.body)
         t1 = m11 * a1 + m12 * a2 + m13 * a3 - b1
         t2 = m12 * a1 + m22 * a2 + m23 * a3 - b2
         t3 = m13 * a1 + m23 * a2 + m33 * a3 - b3

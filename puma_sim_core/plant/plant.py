@@ -13,11 +13,11 @@ import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 from puma_sim_core import __version__
 from puma_sim_core.arm.parameters import ArmParameters, from_mapping, load_parameters, to_mapping
 from puma_sim_core.arm.rigid_body import Lumps, lumped_constants
+from puma_sim_core.dynamics.types import Constants, Drive, Model
 from puma_sim_core.effects import KINDS, VISCOUS, Effect
 from puma_sim_core.effects.base import Stage
 from puma_sim_core.effects.registry import active_stages, check_distinct, fill_arm, pack, vanishes
@@ -28,15 +28,6 @@ from puma_sim_core.plant.drive_train import DriveTrains
 MODEL_FORMAT = "puma-sim model 1"
 #: equation 5.2 as physics has it, F = N kt i, and as it is printed, F = kt i
 TORQUE_FORMS = ("physical", "printed")
-
-
-class KernelConstants(NamedTuple):
-    """What the kernel needs of a plant, in the order of its arguments (see `kernel`)."""
-
-    body: Lumps
-    drive: tuple[float, ...]
-    active: int
-    table: list[float]
 
 
 @dataclass(frozen=True)
@@ -115,8 +106,8 @@ class Plant:
         return tuple(found.get(joint, 0.0) for joint in (1, 2, 3))
 
     @cached_property
-    def constants(self) -> KernelConstants:
-        """The kernel's arguments for this plant."""
+    def constants(self) -> Constants:
+        """What the step needs of this plant; the table is a list."""
         drive = []
         for motor, kT, H in zip(self.arm.motors, self.torque_per_ampere, self.viscous_friction):
             drive += [
@@ -137,7 +128,7 @@ class Plant:
         body = Lumps(*(float(value) for value in lumped_constants(arm)))
         if not all(motor.inductance for motor in self.arm.motors):
             active |= Stage.ALGEBRAIC.value
-        return KernelConstants(body, tuple(drive), active, table)
+        return Constants(Model(body, Drive(*drive), active), table)
 
     def to_mapping(self) -> dict:
         """Plain values of a model file; every digit is kept."""

@@ -172,10 +172,10 @@ class _Jobs:
         filled = runs + [runs[-1]] * (LANES - len(runs))
         numbers = np.zeros((LANE_NUMBERS, LANES))
         for lane, run in enumerate(filled):
-            body, drive, _, _ = self.plants[run].constants
+            model = self.plants[run].constants
             numbers[0:9, lane] = self.start[run]
-            numbers[12:32, lane] = body
-            numbers[32:47, lane] = drive
+            numbers[12:32, lane] = model.body
+            numbers[32:47, lane] = model.drive
         distinct: dict[tuple, int] = {}
         volts = []
         for run in filled:

@@ -22,6 +22,7 @@ from puma_sim_core.dynamics.laws import AT_REST, SENSED
 from puma_sim_core.dynamics.runs import ROW, WIDE, WIDE_ROW
 from puma_sim_core.dynamics.servo import SERVO_WIDTH, ServoConfig, quantised
 from puma_sim_core.dynamics.two_mass_runs import run_voltages
+from puma_sim_core.dynamics.types import Rows, State
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.jit import BACKEND, interpreted
 from puma_sim_core.simulation.delay import SampledDelay
@@ -67,7 +68,7 @@ class ControlLoop:
     chain : whose encoder, converter, amplifier and delay are used; its gains are not.
     sample : time between samples [s]; steps : steps of integration in each.
     voltage_limit : at the motor [V]; gear_ratios : of the three joints, for the encoders.
-    kernel : (body, drive, active, table, lock), as the kernel takes them.
+    kernel : (constants, lock), as a run takes them.
 
     ``late`` is the delay of the plant's input, None without one.
     """
@@ -89,8 +90,8 @@ class ControlLoop:
         self._encoder_steps = table[4::SERVO_WIDTH]
         self._sample = sample
         self._kernel = kernel
-        self._rows = HeldRows(1, WIDE_ROW if kernel[2] & WIDE else ROW)
-        self._pieces = HeldRows(2, WIDE_ROW if kernel[2] & WIDE else ROW)
+        width = WIDE_ROW if kernel[0].active & WIDE else ROW
+        self._rows, self._pieces = HeldRows(1, width), HeldRows(2, width)
         self._count, self._step = steps, sample / steps
         self.late: SampledDelay | None = None
         self.reset()
@@ -100,29 +101,30 @@ class ControlLoop:
         self.controller.reset()
         self._late = [tuple(float(v) for v in held_voltage)] * self._delay
 
-    def run(self, x, z, m, setpoints, samples: int, start: float, out, volts) -> int:
-        """Run from x, z and m (see `runs`); each row of setpoints (n, 3) [rad] acts for `samples`.
+    def run(self, state: State, setpoints, samples: int, start: float, out, volts) -> int:
+        """Run from a state; each row of setpoints (n, 3) [rad] acts for `samples`.
 
         start : time of the first sample [s]. Fills out (n * samples + 1, ROW or WIDE_ROW), a row a
         sample, and volts (n * samples, 3) as asked for. Returns the first row of `out` that is not
         finite, or -1.
         """
-        out[0, :12] = *x, *z[:3]
+        out[0, :12] = *state.x, *state.z[:3]
         if out.shape[1] > ROW:
-            out[0, ROW:] = *m, *z[3:]
-        sensed, row = self._kernel[2] & SENSED, 0
+            out[0, ROW:] = *state.m, *state.z[3:]
+        sensed, row = self._kernel[0].active & SENSED, 0
         for setpoint in setpoints:
             setpoint = tuple(float(value) for value in setpoint)
             for _ in range(samples):
-                asked = self._voltages(start + self._sample * row, setpoint, m if sensed else x)
+                seen = state.m if sensed else state.x
+                asked = self._voltages(start + self._sample * row, setpoint, seen)
                 time = start + row * (self._count * self._step)
-                end = None if asked is None else self._advance(x, z, m, time, asked)
+                end = None if asked is None else self._advance(state, time, asked)
                 if end is None:
                     return row + 1
                 volts[row] = asked
                 row += 1
                 out[row] = end
-                x, z, m = unpacked(end)
+                state = unpacked(end)
         return -1
 
     def _voltages(self, t, setpoint, seen):
@@ -147,11 +149,11 @@ class ControlLoop:
             u = min(u, limit - step)
         return u * self._amplifier
 
-    def _advance(self, x, z, m, time, volts):
+    def _advance(self, state: State, time, volts):
         """The row at the end of one sample with the voltages held; None where it is not finite."""
         if self.late is None:
-            return self._rows.run(x, z, m, time, [volts], [self._count], [self._step], self._kernel)
-        return self._pieces.run(x, z, m, time, self.late.take(volts), self.late.counts, self.late.steps, self._kernel)
+            return self._rows.run(state, time, ([volts], [self._count], [self._step]), self._kernel)
+        return self._pieces.run(state, time, (self.late.take(volts), self.late.counts, self.late.steps), self._kernel)
 
 
 class HeldRows:
@@ -160,31 +162,37 @@ class HeldRows:
 
     def __init__(self, rows: int, width: int):
         compiled = BACKEND == "numba"
-        self._volts = np.zeros((rows, 3)) if compiled else [[0.0] * 3 for _ in range(rows)]
-        self._times = np.zeros(rows) if compiled else [0.0] * rows
-        self._counts = np.zeros(rows, dtype=np.int64) if compiled else [0] * rows
-        self._steps = np.zeros(rows) if compiled else [0.0] * rows
+        self._rows = Rows(
+            np.zeros((rows, 3)) if compiled else [[0.0] * 3 for _ in range(rows)],
+            np.zeros(rows) if compiled else [0.0] * rows,
+            np.zeros(rows, dtype=np.int64) if compiled else [0] * rows,
+            np.zeros(rows) if compiled else [0.0] * rows,
+        )
         self._out = np.empty((rows + 1, width))
 
-    def run(self, x, z, m, time, volts, counts, steps, kernel):
-        """The row at the end, or None where the state is not finite. volts: triples [V], each held
-        for `counts` steps of `steps` seconds."""
+    def run(self, state: State, time: float, held, kernel):
+        """The row at the end, or None where the state is not finite.
+
+        held : (volts, counts, steps): triples [V], each held for `counts` steps of `steps` seconds; kernel : (constants,
+        lock).
+        """
+        volts, counts, steps = held
         for r, row in enumerate(volts):
             for j in range(3):
-                self._volts[r][j] = row[j]
-            self._times[r], self._counts[r], self._steps[r] = time, counts[r], steps[r]
+                self._rows.voltage[r][j] = row[j]
+            self._rows.time[r], self._rows.count[r], self._rows.step[r] = time, counts[r], steps[r]
             time += counts[r] * steps[r]
         try:
-            bad = run_voltages(x, z, m, self._volts, self._times, self._counts, self._steps, *kernel, self._out)
+            bad = run_voltages(state, self._rows, *kernel, self._out)
         except (OverflowError, ValueError, ZeroDivisionError):
             # plain Python tells some numbers that are not finite by an exception
             return None
         return None if bad >= 0 else self._out[-1]
 
 
-def unpacked(row) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
-    """x, z and m (see `runs`) of a row of a run's output."""
+def unpacked(row) -> State:
+    """The state in a row of a run's output."""
     values = tuple(row.tolist())
     if len(values) == ROW:
-        return values[:9], (*values[9:], *values[:6], *AT_REST[9:]), values[:3]
-    return values[:9], (*values[9:12], *values[15:]), values[12:15]
+        return State(values[:9], (*values[9:], *values[:6], *AT_REST[9:]), values[:3])
+    return State(values[:9], (*values[9:12], *values[15:]), values[12:15])

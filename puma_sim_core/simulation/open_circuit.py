@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from puma_sim_core.dynamics.types import Drive
 from puma_sim_core.errors import ParameterError
 
 
@@ -37,11 +38,10 @@ def stretches(on: np.ndarray) -> Iterator[tuple[int, int]]:
     return zip(bounds[:-1], bounds[1:])
 
 
-def opened(drive: tuple[float, ...], on) -> tuple[float, ...]:
-    """The kernel's constants of the drives with those that are off cut from their joints: neither
-    torque nor back-EMF."""
+def opened(drive: Drive, on) -> Drive:
+    """The constants of the drives with those that are off cut from their joints: neither torque nor back-EMF."""
     numbers = list(drive)
     for j in range(3):
         if not on[j]:
             numbers[5 * j + 2] = numbers[5 * j + 3] = 0.0
-    return tuple(numbers)
+    return Drive(*numbers)

@@ -24,6 +24,7 @@ from puma_sim_core.dynamics.runs import ROW, WIDE, WIDE_ROW, servo_memory, suppl
 from puma_sim_core.dynamics.sensed import settled_positions
 from puma_sim_core.dynamics.servo import ServoConfig
 from puma_sim_core.dynamics.two_mass_runs import links_at, run_servo
+from puma_sim_core.dynamics.types import FREE, ServoLoop, State
 from puma_sim_core.errors import CommandError, ModelError, NonFiniteStateError, ParameterError, PumaSimError
 from puma_sim_core.jit import BACKEND
 from puma_sim_core.plant.plant import Plant
@@ -256,8 +257,9 @@ class Session:
     def __init__(self, config: SessionConfig):
         self.config = config
         plant = config.plant
-        body, drive, active, table = plant.constants
-        self._kernel = (body, drive, active, native(table), (0.0,) * 6)
+        active, table = plant.constants.active, plant.constants.table
+        self._constants = plant.constants._replace(table=native(table))
+        self._kernel = (self._constants, FREE)
         self._h = config.period / config.substeps
         self._period_ns = config.period_ns
         self._timeout = config.timeout_steps
@@ -298,13 +300,14 @@ class Session:
     def reset(self) -> None:
         """Back to the initial state: motors, servo, watchdog, counters and step count too."""
         c = self.config
-        self._x = (*c.initial_position, *c.initial_velocity, *c.initial_current)
-        self._z = (*_NOTHING, *links_at(self._x, 0.0, *self._kernel), *AT_REST[9:])
-        self._m = (
-            settled_positions(c.initial_position, self._kernel[3]) if self._kernel[2] & SENSED else c.initial_position
-        )
-        self._target = list(self._m if c.command_interface == "position" else _NOTHING)
-        self._memory = native([*servo_memory(self._m, self._m, self._servo), *c.servo.held_back()])
+        x = (*c.initial_position, *c.initial_velocity, *c.initial_current)
+        z = (*_NOTHING, *links_at(x, 0.0, *self._kernel), *AT_REST[9:])
+        m = c.initial_position
+        if self._constants.active & SENSED:
+            m = settled_positions(c.initial_position, self._constants.table)
+        self._whole = State(x, z, m)
+        self._target = list(m if c.command_interface == "position" else _NOTHING)
+        self._memory = native([*servo_memory(m, m, self._servo), *c.servo.held_back()])
         if self._late is not None:
             self._late.hold(_NOTHING)
         if self._loop is not None:
@@ -391,7 +394,7 @@ class Session:
         step = self.state.step + 1
         if bad >= 0:
             raise NonFiniteStateError(step)
-        self._x, self._z, self._m = unpacked(row)
+        self._whole = unpacked(row)
         self.state = self._state(step, voltage)
         return self.state
 
@@ -407,7 +410,7 @@ class Session:
 
     def _seen(self):
         """Measured positions [rad]."""
-        return self._m if self._kernel[2] & SENSED else self._x[:3]
+        return self._whole.m if self._constants.active & SENSED else self._whole.x[:3]
 
     def _time(self) -> float:
         """Simulated time at the start of the step [s]."""
@@ -419,45 +422,32 @@ class Session:
             if self._late is None
             else (self._late.take(self._target), self._late.counts, self._late.steps)
         )
-        end = self._rows.run(self._x, self._z, self._m, self._time(), *rows, self._kernel)
+        end = self._rows.run(self._whole, self._time(), rows, self._kernel)
         return (1, None, _NOTHING) if end is None else (-1, end, self._target)
 
     def _step_servo(self):
         row = self._target_row[0]
         row[0], row[1], row[2] = self._target
-        bad = run_servo(
-            self._x,
-            self._z,
-            self._m,
+        loop = ServoLoop(
             self._time(),
-            self._target_row,
             self.config.substeps,
             1,
             self._h,
             self._servo,
             self._memory,
             NO_DELAY if self._late is None else self._late.table,
-            *self._kernel,
-            self._servo_out,
-            self._servo_volts,
         )
+        bad = run_servo(self._whole, self._target_row, loop, *self._kernel, self._servo_out, self._servo_volts)
         return bad, self._servo_out[-1], self._servo_volts[-1].tolist()
 
     def _step_controller(self):
         bad = self._loop.run(
-            self._x,
-            self._z,
-            self._m,
-            [self._target],
-            self.config.substeps,
-            self._time(),
-            self._servo_out,
-            self._servo_volts,
+            self._whole, [self._target], self.config.substeps, self._time(), self._servo_out, self._servo_volts
         )
         return bad, self._servo_out[-1], self._servo_volts[-1].tolist()
 
     def _state(self, step, voltage) -> SessionState:
-        _, _, _, w1, w2, w3, i1, i2, i3 = self._x
+        _, _, _, w1, w2, w3, i1, i2, i3 = self._whole.x
         k1, k2, k3 = self._kT
         return SessionState(
             step,
@@ -465,6 +455,6 @@ class Session:
             tuple(self._seen()),
             (w1, w2, w3),
             (i1, i2, i3),
-            tuple(supply_voltages(*voltage, self._kernel[3])),
+            tuple(supply_voltages(*voltage, self._constants.table)),
             (k1 * i1, k2 * i2, k3 * i3),
         )

@@ -19,6 +19,7 @@ from puma_sim_core.dynamics.runs import ROW, WIDE, WIDE_ROW, servo_memory
 from puma_sim_core.dynamics.sensed import settled_positions
 from puma_sim_core.dynamics.servo import ServoConfig
 from puma_sim_core.dynamics.two_mass_runs import accelerations, links_at, run_servo, run_voltages
+from puma_sim_core.dynamics.types import Constants, Rows, ServoLoop, State
 from puma_sim_core.errors import LimitError, NonFiniteStateError, ParameterError
 from puma_sim_core.jit import BACKEND
 from puma_sim_core.plant.plant import Plant
@@ -180,14 +181,16 @@ class Simulator:
         self.on_limit = on_limit
         self.exceeded: list[str] = []
         self.link_motion: np.ndarray | None = None
-        body, drive, active, table = plant.constants
+        constants, active = plant.constants, plant.constants.active
         if any(c.kind != "free" for c in self.constraints):
             active |= LOCKED
         lock = (
             *(0.0 if c.kind == "free" else 1.0 for c in self.constraints),
             *(c.value if c.kind == "acceleration" else 0.0 for c in self.constraints),
         )
-        self._kernel = (body, drive, active, native(table), lock)
+        #: constants of the plant as a run takes them, and the rows that constraints take out
+        self.constants = Constants(constants.model._replace(active=active), native(constants.table))
+        self.lock = lock
         self._row = WIDE_ROW if active & WIDE else ROW
         self.reset()
 
@@ -217,8 +220,8 @@ class Simulator:
                 start[j] = fixed
         self.state = (*position, *start, *current)
         self.bristles, self.further = AT_REST[:3], AT_REST[9:]
-        self.links = links_at(self.state, time, *self._kernel)
-        self.measured = settled_positions(position, self._kernel[3])
+        self.links = links_at(self.state, time, self.constants, self.lock)
+        self.measured = settled_positions(position, self.constants.table)
         self.past = self._past()
         self.time = float(time)
 
@@ -233,7 +236,7 @@ class Simulator:
         self.past = self._past(age, np.hstack([padding, voltage]))
 
     def _past(self, age=(), voltage=()) -> Past:
-        return Past(delay_of(self._kernel[2], self._kernel[3]), age, voltage)
+        return Past(delay_of(self.constants.active, self.constants.table), age, voltage)
 
     def step(self, voltage, duration: float = SERVO_PERIOD) -> tuple[float, ...]:
         """Hold three voltages [V] for a duration [s]; returns the new state.
@@ -320,26 +323,11 @@ class Simulator:
         n = len(setpoint) * samples
         out, volts = np.empty((n + 1, self._row)), np.zeros((n + 1, 3))
         late, past = self._late(h, held_voltage), self.past
+        loop = ServoLoop(
+            self.time, samples, steps, h / steps, servo_table, memory, NO_DELAY if late is None else late.table
+        )
         self._finish(
-            guarded(
-                out,
-                run_servo,
-                self.state,
-                self._beyond(),
-                self.measured,
-                self.time,
-                rows_of(setpoint),
-                samples,
-                steps,
-                h / steps,
-                servo_table,
-                memory,
-                NO_DELAY if late is None else late.table,
-                *self._kernel,
-                out,
-                volts,
-            ),
-            out,
+            guarded(out, run_servo, self.whole, rows_of(setpoint), loop, self.constants, self.lock, out, volts), out
         )
         return self._sampled(setpoint, samples, h, out, volts, acceleration, late, past)
 
@@ -378,12 +366,12 @@ class Simulator:
             int(step_counts(np.array([h]), self.max_step)[0]),
             voltage_limit,
             [m.gear_ratio for m in self.plant.arm.motors],
-            self._kernel,
+            (self.constants, self.lock),
         )
         loop.late, past = self._late(h, (0.0, 0.0, 0.0)), self.past
         n = len(setpoint) * samples
         out, volts = np.empty((n + 1, self._row)), np.zeros((n + 1, 3))
-        self._finish(loop.run(self.state, self._beyond(), self.measured, setpoint, samples, self.time, out, volts), out)
+        self._finish(loop.run(self.whole, setpoint, samples, self.time, out, volts), out)
         return self._sampled(setpoint, samples, h, out, volts, acceleration, loop.late, past)
 
     def _closed(self, setpoint, period, voltage_limit) -> np.ndarray:
@@ -396,16 +384,21 @@ class Simulator:
         return setpoint_table(setpoint, period, voltage_limit)
 
     def _beyond(self) -> tuple[float, ...]:
-        """Bristles, links and further deflections, as the kernel's z."""
+        """Bristles, links and further deflections, as z of `dynamics.types`."""
         return (*self.bristles, *self.links, *self.further)
+
+    @property
+    def whole(self) -> State:
+        """The whole state, as a step takes it."""
+        return State(self.state, self._beyond(), self.measured)
 
     def _seen(self) -> tuple[float, ...]:
         """Measured positions [rad]: the true ones where nothing is between."""
-        return self.measured if self._kernel[2] & SENSED else self.state[:3]
+        return self.measured if self.constants.active & SENSED else self.state[:3]
 
     def _late(self, h: float, held_voltage) -> SampledDelay | None:
         """The delay of a loop with samples each h [s], filled with what ran before."""
-        if not self._kernel[2] & DELAYED:
+        if not self.constants.active & DELAYED:
             return None
         late = SampledDelay(self.past.delay, h, self.max_step)
         late.hold(held_voltage, self.past)
@@ -426,28 +419,19 @@ class Simulator:
     def _advance(self, voltage: np.ndarray, time: np.ndarray, duration: np.ndarray) -> np.ndarray:
         """Rows of what the kernel stores, one more than there are of voltage; time: their edges."""
         rows = None
-        if self._kernel[2] & DELAYED:
+        if self.constants.active & DELAYED:
             (time, voltage, rows), past = self.past.arriving(time, voltage)
             duration = np.diff(time)
         counts = step_counts(duration, self.max_step)
         out = np.empty((len(duration) + 1, self._row))
         try:
-            self._finish(
-                guarded(
-                    out,
-                    run_voltages,
-                    self.state,
-                    self._beyond(),
-                    self.measured,
-                    rows_of(voltage),
-                    rows_of(time[:-1]),
-                    counts if BACKEND == "numba" else counts.tolist(),
-                    rows_of(duration / counts),
-                    *self._kernel,
-                    out,
-                ),
-                out,
+            held = Rows(
+                rows_of(voltage),
+                rows_of(time[:-1]),
+                counts if BACKEND == "numba" else counts.tolist(),
+                rows_of(duration / counts),
             )
+            self._finish(guarded(out, run_voltages, self.whole, held, self.constants, self.lock, out), out)
         except NonFiniteStateError as error:
             if rows is None:
                 raise
@@ -463,10 +447,11 @@ class Simulator:
         if not len(on):
             return self._advance(voltage[:-1], time, np.diff(time))
         voltage = np.where(on, voltage[:-1], 0.0)
-        kernel, parts = self._kernel, []
+        constants, parts = self.constants, []
         try:
             for first, after in stretches(on):
-                self._kernel = (kernel[0], opened(kernel[1], on[first]), *kernel[2:])
+                cut = constants.model._replace(drive=opened(constants.drive, on[first]))
+                self.constants = constants._replace(model=cut)
                 current = np.where(on[first], self.state[6:9], 0.0).tolist()
                 self.state = (*self.state[:6], *current)
                 try:
@@ -478,7 +463,7 @@ class Simulator:
                 # the row that ends a stretch is the first of the next
                 parts.append(out if after == len(on) else out[:-1])
         finally:
-            self._kernel = kernel
+            self.constants = constants
         return np.concatenate(parts)
 
     def _finish(self, bad_row: int, out: np.ndarray) -> None:
@@ -495,13 +480,13 @@ class Simulator:
         result = None
         if acceleration or self.limits.acceleration is not None:
             result, acting = np.empty((len(out), 3)), voltage
-            if self._kernel[2] & DELAYED:
+            if self.constants.active & DELAYED:
                 # a row longer, so that something arrives at the last one too
                 pieces, _ = past.arriving(np.append(time, time[-1] + 1.0), voltage)
                 acting = pieces.voltage[pieces.row[:-1]]
-            accelerations(out, rows_of(acting), rows_of(time), *self._kernel, result)
-        self.link_motion = out[:, ROW + 3 : ROW + 9] if self._kernel[2] & TWO_MASS else None
-        hidden, seen = 3 - self.plant.joints, ROW if self._kernel[2] & SENSED else 0
+            accelerations(out, Rows(rows_of(acting), rows_of(time), None, None), self.constants, self.lock, result)
+        self.link_motion = out[:, ROW + 3 : ROW + 9] if self.constants.active & TWO_MASS else None
+        hidden, seen = 3 - self.plant.joints, ROW if self.constants.active & SENSED else 0
         recording = Recording(
             time=time,
             voltage=voltage[:, hidden:],

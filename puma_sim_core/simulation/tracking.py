@@ -10,15 +10,16 @@ before, also where feedback made those voltages out of the measured positions.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from puma_sim_core.dynamics.laws import CURRENT_LIMIT, DELAYED, DRY, SENSED, TWO_MASS, WIDTH, current_bound, with_links
 from puma_sim_core.dynamics.runs import advance, is_finite, terminal_voltage
 from puma_sim_core.dynamics.two_mass_runs import train_advance
+from puma_sim_core.dynamics.types import Drive, Model, Rows, State
 from puma_sim_core.errors import NonFiniteStateError, ParameterError
-from puma_sim_core.jit import BACKEND, compiled, merged
+from puma_sim_core.jit import BACKEND, compiled, inlined, merged
 from puma_sim_core.simulation.open_circuit import enabled
 from puma_sim_core.simulation.run_inputs import native, rows_of, step_counts
 from puma_sim_core.simulation.simulator import Simulator
@@ -27,47 +28,64 @@ from puma_sim_core.simulation.simulator import Simulator
 _HELD = 0.999999
 
 
+class Track(NamedTuple):
+    """What a model is led along.
+
+    on (k, 3) : 0.0 where a drive is cut off; target (k) : row of `out` whose first three numbers are the positions
+    measured at the end of the row, -1 where none are; corrected : for each row of `out`, whether its innovation moves
+    the state; gain : nine numbers, joint by joint for position, velocity and current.
+    """
+
+    on: Any
+    target: Any
+    corrected: Any
+    gain: Any
+
+
+@inlined
+def switched(drive, a, b, c):
+    """Constants of the drives where 0.0 for a joint cuts its drive off."""
+    return Drive(
+        drive[0],
+        drive[1],
+        drive[2] * a,
+        drive[3] * a,
+        drive[4],
+        drive[5],
+        drive[6],
+        drive[7] * b,
+        drive[8] * b,
+        drive[9],
+        drive[10],
+        drive[11],
+        drive[12] * c,
+        drive[13] * c,
+        drive[14],
+    )
+
+
 @merged
-def tracked_rows(
-    advance, x, z, m, volts, on, times, counts, steps, target, corrected, gain, body, drive, active, p, lock, out
-):
+def tracked_rows(advance, state, rows, track, constants, lock, out):
     """Innovations of each row, with a function like `runs.advance`.
 
-    on (k, 3): 0.0 where a drive is cut off; target (k): row of `out` whose first three numbers are
-    the positions measured at the end of the row, -1 where none are; they are replaced by the
-    innovations, and the six numbers behind them by the positions and velocities that the model
-    predicts there. corrected : for each row of `out`, whether its innovation moves the state.
-    gain : nine numbers, joint by joint for position, velocity and current. Returns the first row
-    whose state is not finite, or -1.
+    out : its measured positions are replaced by the innovations, and the six numbers behind them by the positions and
+    velocities that the model predicts there. Returns the first row whose state is not finite, or -1.
     """
-    for r in range(len(counts)):
-        a, b, c = on[r][0], on[r][1], on[r][2]
-        now = (
-            drive[0],
-            drive[1],
-            drive[2] * a,
-            drive[3] * a,
-            drive[4],
-            drive[5],
-            drive[6],
-            drive[7] * b,
-            drive[8] * b,
-            drive[9],
-            drive[10],
-            drive[11],
-            drive[12] * c,
-            drive[13] * c,
-            drive[14],
-        )
+    model, p = constants
+    active, gain = model.active, track.gain
+    for r in range(len(rows.count)):
+        a, b, c = track.on[r][0], track.on[r][1], track.on[r][2]
+        now = Model(model.body, switched(model.drive, a, b, c), active)
         v = (
-            a * terminal_voltage(0, volts[r][0], p),
-            b * terminal_voltage(1, volts[r][1], p),
-            c * terminal_voltage(2, volts[r][2], p),
+            a * terminal_voltage(0, rows.voltage[r][0], p),
+            b * terminal_voltage(1, rows.voltage[r][1], p),
+            c * terminal_voltage(2, rows.voltage[r][2], p),
         )
-        x, z, m = advance(x, z, m, v, times[r], steps[r], counts[r], body, now, active, p, lock)
+        state = advance(state, v, rows.time[r], rows.step[r], rows.count[r], now, p, lock)
+        x, z, m = state
         if not is_finite(x):
             return r
-        k = target[r]
+        k = track.target[r]
         if k < 0:
             continue
         e1 = out[k, 0] - (m[0] if active & SENSED else x[0])
@@ -78,7 +96,7 @@ def tracked_rows(
         out[k, 2] = e3
         for j in range(6):
             out[k, 3 + j] = x[j]
-        if not corrected[k]:
+        if not track.corrected[k]:
             continue
         # a joint that sticks is moved, and stays stuck
         d1 = 0.0 if active & DRY and x[3] == 0.0 else gain[1] * e1
@@ -106,40 +124,18 @@ def tracked_rows(
             z = with_links(
                 z, (z[3] + gain[0] * e1, z[4] + gain[3] * e2, z[5] + gain[6] * e3, z[6] + d1, z[7] + d2, z[8] + d3)
             )
+        state = State(x, z, m)
     return -1
 
 
 @compiled
-def _tracked(x, z, m, volts, on, times, counts, steps, target, corrected, gain, body, drive, active, p, lock, out):
-    return tracked_rows(
-        advance, x, z, m, volts, on, times, counts, steps, target, corrected, gain, body, drive, active, p, lock, out
-    )
+def _tracked(state, rows, track, constants, lock, out):
+    return tracked_rows(advance, state, rows, track, constants, lock, out)
 
 
 @compiled
-def _tracked_trains(
-    x, z, m, volts, on, times, counts, steps, target, corrected, gain, body, drive, active, p, lock, out
-):
-    return tracked_rows(
-        train_advance,
-        x,
-        z,
-        m,
-        volts,
-        on,
-        times,
-        counts,
-        steps,
-        target,
-        corrected,
-        gain,
-        body,
-        drive,
-        active,
-        p,
-        lock,
-        out,
-    )
+def _tracked_trains(state, rows, track, constants, lock, out):
+    return tracked_rows(train_advance, state, rows, track, constants, lock, out)
 
 
 class Tracked(NamedTuple):
@@ -188,7 +184,7 @@ def innovations(simulator: Simulator, time, voltage, measured, gain, enable=None
     out[:, 0:3] = wide(measured[1:])
     on = np.ones((n - 1, 3)) if enable is None else enabled(enable, n, J)[:-1].astype(float)
     target, edges = np.arange(n - 1), time
-    _, _, active, _, _ = simulator._kernel
+    active = simulator.constants.active
     if active & DELAYED:
         pieces, _ = simulator.past.arriving(time, volts)
         edges, volts, duration = pieces.time, pieces.voltage, np.diff(pieces.time)
@@ -201,21 +197,17 @@ def innovations(simulator: Simulator, time, voltage, measured, gain, enable=None
         raise ParameterError(f"corrected {corrected.shape}", where="innovations", expected=f"({n - 1},)")
     gains = native([0.0] * (3 * hidden) + gain.ravel().tolist())
     run = _tracked_trains if active & TWO_MASS else _tracked
-    bad = run(
-        simulator.state,
-        simulator._beyond(),
-        simulator.measured,
-        rows_of(volts),
-        rows_of(on),
-        rows_of(edges[:-1]),
-        counts if BACKEND == "numba" else counts.tolist(),
-        rows_of(duration / counts),
-        target if BACKEND == "numba" else target.tolist(),
-        corrected if BACKEND == "numba" else corrected.tolist(),
-        gains,
-        *simulator._kernel,
-        out,
+    compiled_kernel = BACKEND == "numba"
+    rows = Rows(
+        rows_of(volts), rows_of(edges[:-1]), counts if compiled_kernel else counts.tolist(), rows_of(duration / counts)
     )
+    track = Track(
+        rows_of(on),
+        target if compiled_kernel else target.tolist(),
+        corrected if compiled_kernel else corrected.tolist(),
+        gains,
+    )
+    bad = run(simulator.whole, rows, track, simulator.constants, simulator.lock, out)
     if bad >= 0 or not np.isfinite(out).all():
         raise NonFiniteStateError(int(bad))
     return Tracked(*(out[:, first + hidden : first + 3] for first in (0, 3, 6)))

@@ -9,6 +9,8 @@ motion, so that a model with effects can be the start of an explanation.
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from puma_sim_core.dynamics.laws import BRISTLE, DROOP, DRY, SENSED, SMOOTH, TILT, TIMED, VARYING, WIDTH, combined
@@ -25,55 +27,71 @@ from puma_sim_core.dynamics.torques import (
     smooth_torques,
     tilted_torques,
 )
+from puma_sim_core.dynamics.types import Constants
 from puma_sim_core.effects.base import SENSING, Effect, Point
 from puma_sim_core.effects.screening import Signals
 from puma_sim_core.effects.shared.columns import torque_volts
 from puma_sim_core.jit import BACKEND, compiled, interpreted
 from puma_sim_core.plant.mechanism import Mechanism
+from puma_sim_core.plant.plant import Plant
 from puma_sim_core.simulation.delay import delay_of
+from puma_sim_core.simulation.run_inputs import native
 
 _share, _bound = (combined(point, interpreted) for point in (Point.SUPPLY_SHARE, Point.CURRENT_BOUND))
 #: share of its limit from which a current counts as held by it
 _HELD = 0.98
 
 
-@compiled
-def _taken(time, step, q, w, motor, sign, begin, body, drive, active, p, out):
-    """Torques (n, 3) [N.m] that the effects of a plant take at the rows of a motion.
+class _Motion(NamedTuple):
+    """Rows of a motion: time (n,), its step, position and velocity (n, 3), torque that the motion takes without
+    effects and viscous friction (n, 3) [N.m], direction of sliding, smooth about reversals (n, 3), and 1.0 where a
+    stretch of record begins, with bristles at rest (n,)."""
 
-    motor (n, 3): torque that the motion takes without effects and viscous friction [N.m]; sign
-    (n, 3): direction of sliding, smooth about reversals; begin (n,): 1.0 where a stretch of record
-    begins, with bristles at rest.
-    """
+    time: Any
+    step: float
+    position: Any
+    velocity: Any
+    motor: Any
+    sign: Any
+    begins: Any
+
+
+@compiled
+def _taken(motion, constants, out):
+    """Torques (n, 3) [N.m] that the effects of a plant take at the rows of a motion."""
+    model, p = constants
+    body, drive, active = model
     z1, z2, z3 = 0.0, 0.0, 0.0
-    for r in range(len(time)):
-        trig = library_trigonometry(q[r][1], q[r][2])
+    for r in range(len(motion.time)):
+        q, w, sign = motion.position[r], motion.velocity[r], motion.sign[r]
+        trig = library_trigonometry(q[1], q[2])
         G2, G3 = gravity_torques(trig, body)
         f1, f2, f3 = 0.0, 0.0, 0.0
         if active & SMOOTH:
-            f1, f2, f3 = smooth_torques(q[r][0], q[r][1], q[r][2], w[r][0], w[r][1], w[r][2], p)
+            f1, f2, f3 = smooth_torques((q[0], q[1], q[2], w[0], w[1], w[2]), p)
         if active & TILT:
-            g1, g2, g3 = tilted_torques(q[r][0], trig, body, p)
+            g1, g2, g3 = tilted_torques(q[0], trig, body, p)
             f1, f2, f3 = f1 + g1, f2 + g2, f3 + g3
-        t1, t2, t3 = motor[r][0] + f1, motor[r][1] + f2, motor[r][2] + f3
+        t1, t2, t3 = motion.motor[r][0] + f1, motion.motor[r][1] + f2, motion.motor[r][2] + f3
         if active & TIMED:
-            push = push_over(time[r] - 0.5 * step, step, p)
-            now = drive_at(time[r], drive, p)
+            push = push_over(motion.time[r] - 0.5 * motion.step, motion.step, p)
+            now = drive_at(motion.time[r], drive, p)
             t1, t2, t3 = t1 - push[0], t2 - push[1], t3 - push[2]
-            f1 += (now[4] - drive[4]) * w[r][0] - push[0]
-            f2 += (now[9] - drive[9]) * w[r][1] - push[1]
-            f3 += (now[14] - drive[14]) * w[r][2] - push[2]
+            f1 += (now[4] - drive[4]) * w[0] - push[0]
+            f2 += (now[9] - drive[9]) * w[1] - push[1]
+            f3 += (now[14] - drive[14]) * w[2] - push[2]
         if active & (DRY | VARYING):
-            f1 += _sliding(0, q[r][0], w[r][0], sign[r][0], 0.0, t1, p)
-            f2 += _sliding(1, q[r][1], w[r][1], sign[r][1], G2, t2, p)
-            f3 += _sliding(2, q[r][2], w[r][2], sign[r][2], G3, t3, p)
+            f1 += _sliding(0, q[0], w[0], sign[0], 0.0, t1, p)
+            f2 += _sliding(1, q[1], w[1], sign[1], G2, t2, p)
+            f3 += _sliding(2, q[2], w[2], sign[2], G3, t3, p)
         if active & BRISTLE:
-            if begin[r] != 0.0:
+            if motion.begins[r] != 0.0:
                 z1, z2, z3 = 0.0, 0.0, 0.0
             else:
-                z1, g1 = _bent(0, z1, q[r][0] - q[r - 1][0], q[r][0], w[r][0], 0.0, t1, p)
-                z2, g2 = _bent(1, z2, q[r][1] - q[r - 1][1], q[r][1], w[r][1], G2, t2, p)
-                z3, g3 = _bent(2, z3, q[r][2] - q[r - 1][2], q[r][2], w[r][2], G3, t3, p)
+                before = motion.position[r - 1]
+                z1, g1 = _bent(0, z1, q[0] - before[0], q[0], w[0], 0.0, t1, p)
+                z2, g2 = _bent(1, z2, q[1] - before[1], q[1], w[1], G2, t2, p)
+                z3, g3 = _bent(2, z3, q[2] - before[2], q[2], w[2], G3, t3, p)
                 f1, f2, f3 = f1 + g1, f2 + g2, f3 + g3
         out[r, 0] = f1
         out[r, 1] = f2
@@ -123,14 +141,15 @@ def known_voltage(mechanism: Mechanism, theta, signals: Signals) -> np.ndarray:
         return total
     plant = mechanism.plant(theta)
     hidden = 3 - joints
-    body, drive, active, table = plant.constants
-    p = np.array(table, dtype=float) if BACKEND == "numba" else list(map(float, table))
+    active = plant.constants.active
+    constants = plant.constants._replace(table=native(plant.constants.table))
+    p = constants.table
     if active & SENSED:
         _add(total, [e for e in plant.effects if e.kind.acts == SENSING], signals, signals.torque)
-    taken = _torques(plant, signals, body, drive, active, p)[:, hidden:]
+    taken = _torques(plant, signals, constants)[:, hidden:]
     total += np.stack([torque_volts(signals, j, taken[:, j]) for j in range(joints)], axis=1)
-    torque, constants = signals.torque + taken, mechanism.drive(theta)
-    current = torque * constants.volts_per_torque / constants.resistance
+    torque, drive = signals.torque + taken, mechanism.drive(theta)
+    current = torque * drive.volts_per_torque / drive.resistance
     _add(total, [e for e in plant.effects if e.kind.acts != SENSING], signals, torque)
     total += _lost_before_the_motor(signals, current, active, p, hidden)
     limit = np.array([_bound(p, j * WIDTH) for j in range(hidden, 3)])
@@ -146,29 +165,22 @@ def _model(signals: Signals) -> np.ndarray:
     return np.stack(motors, axis=1) + signals.emf * signals.velocity
 
 
-def _torques(plant, signals: Signals, body, drive, active, p) -> np.ndarray:
+def _torques(plant: Plant, signals: Signals, constants: Constants) -> np.ndarray:
     """(n, 3) torques that the effects take [N.m]."""
     hidden = ((0, 0), (3 - plant.joints, 0))
     speed = signals.velocity
     width = np.maximum(2.0 * signals.velocity_noise, 1e-9)
     motor = signals.torque - signals.viscous * speed
-    arrays = [np.pad(values, hidden) for values in (signals.position, speed, motor, speed / np.hypot(speed, width))]
-    begin = np.diff(signals.segment, prepend=signals.segment[0] - 1) != 0
+    begins = np.diff(signals.segment, prepend=signals.segment[0] - 1) != 0
+    arrays = [
+        signals.time,
+        *(np.pad(values, hidden) for values in (signals.position, speed, motor, speed / np.hypot(speed, width))),
+        begins.astype(float),
+    ]
+    if BACKEND != "numba":
+        arrays = [values.tolist() for values in arrays]
     out = np.zeros((len(signals.time), 3))
-    if BACKEND == "numba":
-        _taken(signals.time, signals.step, *arrays, begin.astype(float), body, drive, active, p, out)
-    else:
-        _taken(
-            signals.time.tolist(),
-            signals.step,
-            *(a.tolist() for a in arrays),
-            begin.astype(float).tolist(),
-            body,
-            drive,
-            active,
-            p,
-            out,
-        )
+    _taken(_Motion(arrays[0], signals.step, *arrays[1:]), constants, out)
     return out
 
 
