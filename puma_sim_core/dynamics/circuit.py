@@ -4,29 +4,21 @@
 
 from __future__ import annotations
 
-from puma_sim_core.dynamics.laws import (
-    ALGEBRAIC,
-    CURRENT_LIMIT,
-    DROOP,
-    WIDTH,
-    bounded_current,
-    bounded_rate,
-    supply_share,
-)
+from puma_sim_core.dynamics.laws import ALGEBRAIC, CURRENT_LIMIT, DROOP, bounded_current, bounded_rate, supply_share
 from puma_sim_core.jit import inlined
 
 
 @inlined
 def supplied(v, i1, i2, i3, p):
     """Voltages [V] that are left of a supply that sags under the currents."""
-    share = supply_share(p, 0, i1, i2, i3)
+    share = supply_share(0, i1, i2, i3, p)
     return v[0] * share, v[1] * share, v[2] * share
 
 
 @inlined
 def limited_currents(i1, i2, i3, p):
     """Currents [A] of the three motors within their bounds."""
-    return bounded_current(p, 0, i1), bounded_current(p, WIDTH, i2), bounded_current(p, 2 * WIDTH, i3)
+    return bounded_current(0, i1, p), bounded_current(1, i2, p), bounded_current(2, i3, p)
 
 
 @inlined
@@ -44,15 +36,15 @@ def settled_currents(x, v, model, p):
     if y1 == 0.0:
         i1 = (v1 - k1 * x[3]) / r1
         if active & CURRENT_LIMIT:
-            i1 = bounded_current(p, 0, i1)
+            i1 = bounded_current(0, i1, p)
     if y2 == 0.0:
         i2 = (v2 - k2 * x[4]) / r2
         if active & CURRENT_LIMIT:
-            i2 = bounded_current(p, WIDTH, i2)
+            i2 = bounded_current(1, i2, p)
     if y3 == 0.0:
         i3 = (v3 - k3 * x[5]) / r3
         if active & CURRENT_LIMIT:
-            i3 = bounded_current(p, 2 * WIDTH, i3)
+            i3 = bounded_current(2, i3, p)
     return i1, i2, i3
 
 
@@ -88,7 +80,7 @@ def electric_rates(x, v, model, p):
     e2 = (u2 - r2 * i2 - k2 * w2) * y2
     e3 = (u3 - r3 * i3 - k3 * w3) * y3
     if active & CURRENT_LIMIT:
-        e1 = bounded_rate(p, 0, i1, e1)
-        e2 = bounded_rate(p, WIDTH, i2, e2)
-        e3 = bounded_rate(p, 2 * WIDTH, i3, e3)
+        e1 = bounded_rate(0, i1, e1, p)
+        e2 = bounded_rate(1, i2, e2, p)
+        e3 = bounded_rate(2, i3, e3, p)
     return i1, i2, i3, e1, e2, e3

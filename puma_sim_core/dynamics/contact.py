@@ -17,16 +17,9 @@ from collections.abc import Callable
 from typing import Any
 
 from puma_sim_core.dynamics.circuit import settled_state
-from puma_sim_core.dynamics.laws import ALGEBRAIC, DRY, LOCKED, VARYING
+from puma_sim_core.dynamics.laws import ALGEBRAIC, DRY, LOCKED, VARYING, constant_level
 from puma_sim_core.dynamics.rigid import arm_step, library_trigonometry, remove_rows, rigid_body, solve
-from puma_sim_core.dynamics.torques import (
-    constant_level,
-    effect_torques,
-    gravity_torques,
-    has_bristle,
-    has_dry,
-    sliding_level,
-)
+from puma_sim_core.dynamics.torques import effect_torques, gravity_torques, has_bristle, has_dry, sliding_level
 from puma_sim_core.dynamics.types import STILL, Model
 from puma_sim_core.jit import inlined, interpreted, merged, outlined
 

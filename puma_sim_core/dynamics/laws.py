@@ -4,7 +4,7 @@
 
 Each function here is written out from the registry, as one would by hand: the sum of two laws is
 ``f0(p, k + 12, q, qd) + f1(p, k + 31, q, qd)``. So it costs what a sum written by hand costs, compiled or not. p is
-the packed table of effects and k the place where the joint's part of it begins, 0 for laws of the whole arm.
+the packed table of effects and k the place where the part of joint j begins; laws of the whole arm take j = 0.
 """
 
 from __future__ import annotations
@@ -40,30 +40,30 @@ def written(
 
 
 def combined(point: Point, jit: Callable[..., Any] = inlined) -> Callable[..., Any]:
-    """The laws at a point as one function of (p, k, arguments of the point).
+    """The laws at a point as one function of (j, arguments of the point, p), j = 0, 1, 2 the joint.
 
     jit : `jit.interpreted` gives the plain Python of it.
     """
     laws = registry.laws(point)
     functions = {f"f{n}": function if jit is inlined else jit(function) for n, (function, _) in enumerate(laws)}
-    given = f"p, k, {point.arguments}".rstrip(", ")
-    behind = f", {point.arguments}".rstrip(", ")
-    calls = [f"f{n}(p, k + {place}{behind})" for n, (_, place) in enumerate(laws)]
-    how, name = point.combined, point.name.lower()
+    how, arguments = point.combined, [name for name in point.arguments.split(", ") if name]
+    calls = [f"f{n}({', '.join(['p', f'k + {place}', *arguments])})" for n, (_, place) in enumerate(laws)]
+    body = [f"k = j * {WIDTH}"] if calls else []
     if how == "chain":
-        last = point.arguments.split(", ")[-1]
-        return written(name, given, [*(f"{last} = {call}" for call in calls), f"return {last}"], functions, jit)
-    if how == "triple":
-        body = ["t1, t2, t3 = 0.0, 0.0, 0.0"] if len(calls) != 1 else []
-        for call in calls if body else ():
+        body += [*(f"{arguments[-1]} = {call}" for call in calls), f"return {arguments[-1]}"]
+    elif how == "triple" and len(calls) > 1:
+        body += ["t1, t2, t3 = 0.0, 0.0, 0.0"]
+        for call in calls:
             body += [f"u1, u2, u3 = {call}", "t1, t2, t3 = t1 + u1, t2 + u2, t3 + u3"]
-        return written(name, given, [*body, "return t1, t2, t3" if body else f"return {calls[0]}"], functions, jit)
-    if how == "least":
+        body += ["return t1, t2, t3"]
+    elif how == "least":
         value = calls[0] if calls else _EMPTY[how]
         for call in calls[1:]:
             value = f"min({value}, {call})"
-        return written(name, given, [f"return {value}"], functions, jit)
-    return written(name, given, [f"return {_JOINED[how].join(calls) or _EMPTY[how]}"], functions, jit)
+        body += [f"return {value}"]
+    else:
+        body += [f"return {_JOINED.get(how, '').join(calls) or _EMPTY[how]}"]
+    return written(point.name.lower(), ", ".join(["j", *arguments, "p"]), body, functions, jit)
 
 
 after_losses = combined(Point.TERMINAL)
@@ -72,23 +72,22 @@ supply_share = combined(Point.SUPPLY_SHARE)
 bounded_rate = combined(Point.CURRENT_RATE)
 bounded_current = combined(Point.CURRENT)
 current_bound = combined(Point.CURRENT_BOUND)
-motor_law = combined(Point.MOTOR_TORQUE)
-link_law = combined(Point.LINK_TORQUE)
-level_law = combined(Point.LEVEL)
-speed_law = combined(Point.SPEED_LEVEL)
-pose_law = combined(Point.POSE_LEVEL)
-has_pose_law = combined(Point.HAS_POSE_LEVEL)
-loaded_law = combined(Point.LOADED_TORQUE)
+motor_torque = combined(Point.MOTOR_TORQUE)
+link_torque = combined(Point.LINK_TORQUE)
+constant_level = combined(Point.LEVEL)
+speed_level = combined(Point.SPEED_LEVEL)
+pose_level = combined(Point.POSE_LEVEL)
+has_pose_level = combined(Point.HAS_POSE_LEVEL)
+loaded_torque = combined(Point.LOADED_TORQUE)
 bristle_stiffness = combined(Point.BRISTLE_STIFFNESS)
-arm_law = combined(Point.ARM_TORQUE)
+arm_torques = combined(Point.ARM_TORQUE)
 resistance_factor = combined(Point.RESISTANCE_FACTOR)
 viscous_factor = combined(Point.VISCOUS_FACTOR)
-push_law = combined(Point.PUSH)
+push_torque = combined(Point.PUSH)
 sensor_offset = combined(Point.SENSOR_OFFSET)
 sensor_error = combined(Point.SENSOR_ERROR)
 sensor_slope = combined(Point.SENSOR_SLOPE)
 sensor_time = combined(Point.SENSOR_LAG)
-delay_law = combined(Point.DELAY)
 
 #: effects with a deflection of their own; numbers of all deflections: three of the bristles, then three of each
 MEMORIES = registry.memories()

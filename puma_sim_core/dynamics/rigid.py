@@ -18,7 +18,7 @@ from math import cos, sin
 from typing import Any
 
 from puma_sim_core.dynamics.circuit import electric_rates
-from puma_sim_core.dynamics.laws import ALGEBRAIC, CURRENT_LIMIT, DROOP, LOCKED, WIDTH, bounded_rate
+from puma_sim_core.dynamics.laws import ALGEBRAIC, CURRENT_LIMIT, DROOP, LOCKED, bounded_rate
 from puma_sim_core.dynamics.rk4 import System, arm_with_currents, build_step, moved_arm, weighted_arm
 from puma_sim_core.dynamics.torques import effect_torques
 from puma_sim_core.jit import inlined
@@ -131,9 +131,9 @@ def build_arm(trigonometry: Callable[..., Any]) -> tuple[Callable[..., Any], Cal
             e2 = (v[1] - r2 * i2 - k2 * w2) * y2
             e3 = (v[2] - r3 * i3 - k3 * w3) * y3
             if active & CURRENT_LIMIT:
-                e1 = bounded_rate(p, 0, i1, e1)
-                e2 = bounded_rate(p, WIDTH, i2, e2)
-                e3 = bounded_rate(p, 2 * WIDTH, i3, e3)
+                e1 = bounded_rate(0, i1, e1, p)
+                e2 = bounded_rate(1, i2, e2, p)
+                e3 = bounded_rate(2, i3, e3, p)
         t1 = n1 * i1 - h1 * w1
         t2 = n2 * i2 - h2 * w2
         t3 = n3 * i3 - h3 * w3

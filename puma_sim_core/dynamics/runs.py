@@ -25,7 +25,6 @@ from puma_sim_core.dynamics.laws import (
     TIMED,
     TWO_MASS,
     VARYING,
-    WIDTH,
     Z_WIDTH,
     after_losses,
     deflections_of,
@@ -54,13 +53,13 @@ LATE_WIDTH = 5
 @inlined
 def terminal_voltage(j, v, p):
     """Voltage [V] at motor j's terminals for the commanded one, a droop of the supply apart."""
-    return within_supply(p, j * WIDTH, after_losses(p, j * WIDTH, v))
+    return within_supply(j, after_losses(j, v, p), p)
 
 
 @compiled
 def supply_voltages(v1, v2, v3, p):
     """Voltages [V] that the supply can give of the commanded ones: what a drive reports."""
-    return within_supply(p, 0, v1), within_supply(p, WIDTH, v2), within_supply(p, 2 * WIDTH, v3)
+    return within_supply(0, v1, p), within_supply(1, v2, p), within_supply(2, v3, p)
 
 
 @compiled

@@ -14,7 +14,7 @@ from math import exp
 
 import numpy as np
 
-from puma_sim_core.dynamics.laws import WIDTH, combined, sensor_error, sensor_offset, sensor_slope, sensor_time
+from puma_sim_core.dynamics.laws import combined, sensor_error, sensor_offset, sensor_slope, sensor_time
 from puma_sim_core.effects.base import Point
 from puma_sim_core.jit import inlined, interpreted
 
@@ -39,14 +39,13 @@ def lagged_position(T, before, u0, u1, d0, d1, step):
 @inlined
 def measured_joint(j, before, q0, w0, q1, w1, step, p):
     """Measured position [rad] of joint j after a step [s] from (q0, w0) to (q1, w1)."""
-    k = j * WIDTH
     return lagged_position(
-        sensor_time(p, k),
+        sensor_time(j, p),
         before,
-        q0 + sensor_offset(p, k) + sensor_error(p, k, q0),
-        q1 + sensor_offset(p, k) + sensor_error(p, k, q1),
-        w0 * (1.0 + sensor_slope(p, k, q0)),
-        w1 * (1.0 + sensor_slope(p, k, q1)),
+        q0 + sensor_offset(j, p) + sensor_error(j, q0, p),
+        q1 + sensor_offset(j, p) + sensor_error(j, q1, p),
+        w0 * (1.0 + sensor_slope(j, q0, p)),
+        w1 * (1.0 + sensor_slope(j, q1, p)),
         step,
     )
 
@@ -69,9 +68,7 @@ _offset, _error, _slope, _lag = (
 
 def settled_positions(position: Sequence[float], table: Sequence[float]) -> tuple[float, ...]:
     """Measured positions [rad] of an arm that has rested at `position` [rad]."""
-    return tuple(
-        float(float(q) + _offset(table, j * WIDTH) + _error(table, j * WIDTH, float(q))) for j, q in enumerate(position)
-    )
+    return tuple(float(float(q) + _offset(j, table) + _error(j, float(q), table)) for j, q in enumerate(position))
 
 
 def true_motion(measured, velocity, acceleration, table: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
@@ -82,15 +79,14 @@ def true_motion(measured, velocity, acceleration, table: Sequence[float]) -> tup
     """
     position, speed = np.empty(3), np.empty(3)
     for j in range(3):
-        k = j * WIDTH
-        lag, offset = _lag(table, k), _offset(table, k)
+        lag, offset = _lag(j, table), _offset(j, table)
         u = measured[j] + lag * velocity[j]
         q = u - offset
         for _ in range(50):
-            step = (q + offset + _error(table, k, q) - u) / max(1.0 + _slope(table, k, q), 0.1)
+            step = (q + offset + _error(j, q, table) - u) / max(1.0 + _slope(j, q, table), 0.1)
             q -= step
             if abs(step) <= 1e-15 * (1.0 + abs(q)):
                 break
         position[j] = q
-        speed[j] = (velocity[j] + lag * acceleration[j]) / (1.0 + _slope(table, k, q))
+        speed[j] = (velocity[j] + lag * acceleration[j]) / (1.0 + _slope(j, q, table))
     return position, speed

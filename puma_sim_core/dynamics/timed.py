@@ -9,7 +9,7 @@ its mean over the step, which keeps its momentum. Both are of second order in th
 
 from __future__ import annotations
 
-from puma_sim_core.dynamics.laws import WIDTH, push_law, resistance_factor, viscous_factor
+from puma_sim_core.dynamics.laws import push_torque, resistance_factor, viscous_factor
 from puma_sim_core.dynamics.types import Drive
 from puma_sim_core.jit import inlined
 
@@ -20,20 +20,20 @@ def drive_at(time, drive, p):
     y1, r1, k1, n1, h1, y2, r2, k2, n2, h2, y3, r3, k3, n3, h3 = drive
     return Drive(
         y1,
-        r1 * resistance_factor(p, 0, time),
+        r1 * resistance_factor(0, time, p),
         k1,
         n1,
-        h1 * viscous_factor(p, 0, time),
+        h1 * viscous_factor(0, time, p),
         y2,
-        r2 * resistance_factor(p, WIDTH, time),
+        r2 * resistance_factor(1, time, p),
         k2,
         n2,
-        h2 * viscous_factor(p, WIDTH, time),
+        h2 * viscous_factor(1, time, p),
         y3,
-        r3 * resistance_factor(p, 2 * WIDTH, time),
+        r3 * resistance_factor(2, time, p),
         k3,
         n3,
-        h3 * viscous_factor(p, 2 * WIDTH, time),
+        h3 * viscous_factor(2, time, p),
     )
 
 
@@ -41,4 +41,4 @@ def drive_at(time, drive, p):
 def push_over(time, step, p):
     """Torques [N.m] from outside in the direction of +q: the mean from `time` to `time` + `step`
     [s], or the value at an instant for step 0."""
-    return (push_law(p, 0, time, step), push_law(p, WIDTH, time, step), push_law(p, 2 * WIDTH, time, step))
+    return (push_torque(0, time, step, p), push_torque(1, time, step, p), push_torque(2, time, step, p))

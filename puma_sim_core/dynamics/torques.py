@@ -20,30 +20,18 @@ from puma_sim_core.dynamics.laws import (
     TIMED,
     VARYING,
     WIDTH,
-    arm_law,
+    arm_torques,
     bristle_stiffness,
+    constant_level,
     deflection_torques,
-    has_pose_law,
-    level_law,
-    link_law,
-    loaded_law,
-    motor_law,
-    pose_law,
-    speed_law,
+    has_pose_level,
+    link_torque,
+    loaded_torque,
+    motor_torque,
+    pose_level,
+    speed_level,
 )
 from puma_sim_core.jit import inlined, outlined
-
-
-@inlined
-def link_torque(j, q, qd, p):
-    """`smooth_torque` of the effects that act on the link itself, behind the gear."""
-    return link_law(p, j * WIDTH, q, qd)
-
-
-@inlined
-def motor_torque(j, q, qd, p):
-    """`smooth_torque` of the effects that act on the motor and its gear."""
-    return motor_law(p, j * WIDTH, q, qd)
 
 
 @inlined
@@ -53,24 +41,11 @@ def smooth_torque(j, q, qd, p):
 
 
 @inlined
-def constant_level(j, direction, p):
-    """Dry friction [N.m] of joint j that depends on nothing but its direction (+1, -1)."""
-    return level_law(p, j * WIDTH, direction)
-
-
-@inlined
-def pose_level(j, q, gravity, torque, p):
-    """Dry friction [N.m] of joint j that depends on the pose and the load: on its position q
-    [rad], its gravity torque and what its motor gives after viscous friction [N.m]."""
-    return pose_law(p, j * WIDTH, q, gravity, torque)
-
-
-@inlined
 def sliding_level(j, direction, q, gravity, torque, speed, p):
     """All dry friction [N.m] of joint j when it slides in `direction` at `speed` >= 0 [rad/s] in
     a pose, as `pose_level` takes it."""
     level = constant_level(j, direction, p)
-    level += speed_law(p, j * WIDTH, speed)
+    level += speed_level(j, speed, p)
     return level + pose_level(j, q, gravity, torque, p)
 
 
@@ -80,25 +55,24 @@ def inverse_torque(j, sign, q, gravity, torque, speed, p):
     `torque` beside dry friction; sign : of its velocity, -1..1."""
     direction = 1.0 if sign > 0.0 else -1.0
     torque += sign * sliding_level(j, direction, q, 0.0, 0.0, speed, p)
-    return loaded_law(p, j * WIDTH, gravity, sign, torque)
+    return loaded_torque(j, gravity, sign, torque, p)
 
 
 @inlined
 def has_dry(j, p):
     """Whether joint j has dry friction, in one direction and in one pose at least."""
-    k = j * WIDTH
     return (
         constant_level(j, 1.0, p) > 0.0
         or constant_level(j, -1.0, p) > 0.0
-        or speed_law(p, k, 0.0) > 0.0
-        or has_pose_law(p, k)
+        or speed_level(j, 0.0, p) > 0.0
+        or has_pose_level(j, p)
     )
 
 
 @inlined
 def has_bristle(j, p):
     """Whether joint j's dry friction acts through a bristle."""
-    return bristle_stiffness(p, j * WIDTH) > 0.0
+    return bristle_stiffness(j, p) > 0.0
 
 
 @inlined
@@ -129,7 +103,7 @@ def bristle_flow(deflection, travel, yield_deflection):
 @inlined
 def bristle_step(j, z, travel, level, p):
     """Deflection [rad] of joint j's bristle after `travel` [rad], and its torque [N.m]."""
-    stiffness = bristle_stiffness(p, j * WIDTH)
+    stiffness = bristle_stiffness(j, p)
     if stiffness == 0.0:
         return 0.0, 0.0
     z = bristle_flow(z, travel, level / stiffness)
@@ -153,7 +127,7 @@ def smooth_torques(x, p):
 @outlined
 def tilted_torques(q1, trig, body, p):
     """Torques [N.m] of effects of the whole arm that depend on the pose, against positive motion."""
-    return arm_law(p, 0, WIDTH, q1, trig, body)
+    return arm_torques(0, WIDTH, q1, trig, body, p)
 
 
 @inlined
@@ -181,9 +155,9 @@ def effect_torques(x, t, trig, model, p, slip, bend):
         t2 -= c2
         t3 -= c3
         if active & VARYING:
-            t1 -= s1 * speed_law(p, 0, abs(x[3]))
-            t2 -= s2 * speed_law(p, WIDTH, abs(x[4]))
-            t3 -= s3 * speed_law(p, 2 * WIDTH, abs(x[5]))
+            t1 -= s1 * speed_level(0, abs(x[3]), p)
+            t2 -= s2 * speed_level(1, abs(x[4]), p)
+            t3 -= s3 * speed_level(2, abs(x[5]), p)
         if active & POSED:
             G2, G3 = gravity_torques(trig, body)
             t1 -= s1 * pose_level(0, x[0], 0.0, t[0], p)

@@ -34,12 +34,14 @@ from puma_sim_core.dynamics.laws import (
     SMOOTH,
     TILT,
     deflections_of,
+    link_torque,
+    motor_torque,
     with_deflections,
     with_links,
 )
 from puma_sim_core.dynamics.rigid import library_trigonometry, remove_rows, rigid_body, solve
 from puma_sim_core.dynamics.rk4 import System, build_step
-from puma_sim_core.dynamics.torques import bristle_torques, effect_torques, link_torque, motor_torque
+from puma_sim_core.dynamics.torques import bristle_torques, effect_torques
 from puma_sim_core.dynamics.types import NO_SLIP, STILL, Model
 from puma_sim_core.effects.shared.drive_train import (
     TRAIN_WIDTH,

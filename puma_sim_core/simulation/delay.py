@@ -28,7 +28,7 @@ _SAME = 1e-10
 
 def delay_of(active: int, table: Sequence[float]) -> float:
     """T [s] of a plant's stages and packed table; 0.0 without a delay."""
-    return float(_delay(table, 0)) if active & Stage.DELAYED else 0.0
+    return float(_delay(0, table)) if active & Stage.DELAYED else 0.0
 
 
 class Pieces(NamedTuple):

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from puma_sim_core.dynamics.laws import CURRENT_LIMIT, DELAYED, DRY, SENSED, TWO_MASS, WIDTH, current_bound, with_links
+from puma_sim_core.dynamics.laws import CURRENT_LIMIT, DELAYED, DRY, SENSED, TWO_MASS, current_bound, with_links
 from puma_sim_core.dynamics.runs import advance, is_finite, terminal_voltage
 from puma_sim_core.dynamics.two_mass_runs import train_advance
 from puma_sim_core.dynamics.types import Drive, Model, Rows, State
@@ -104,9 +104,9 @@ def tracked_rows(advance, state, rows, track, constants, lock, out):
         d3 = 0.0 if active & DRY and x[5] == 0.0 else gain[7] * e3
         # and a current that is held at its limit stays there: moved, it could only fall
         if active & CURRENT_LIMIT:
-            a = 0.0 if abs(x[6]) >= _HELD * current_bound(p, 0) else a
-            b = 0.0 if abs(x[7]) >= _HELD * current_bound(p, WIDTH) else b
-            c = 0.0 if abs(x[8]) >= _HELD * current_bound(p, 2 * WIDTH) else c
+            a = 0.0 if abs(x[6]) >= _HELD * current_bound(0, p) else a
+            b = 0.0 if abs(x[7]) >= _HELD * current_bound(1, p) else b
+            c = 0.0 if abs(x[8]) >= _HELD * current_bound(2, p) else c
         x = (
             x[0] + gain[0] * e1,
             x[1] + gain[3] * e2,

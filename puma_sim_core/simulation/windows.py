@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from puma_sim_core.dynamics.laws import SENSED, WIDTH, combined
+from puma_sim_core.dynamics.laws import SENSED, combined
 from puma_sim_core.dynamics.runs import terminal_voltages
 from puma_sim_core.dynamics.sensed import true_motion
 from puma_sim_core.effects.base import VOLTAGE, Point
@@ -133,7 +133,7 @@ def driven_current(
             weight[0] = 1.0 - weight[1:].sum()
             mean = weight @ held[:, j]
         current[j] = (mean - emf) / motor.resistance
-    limit = np.array([_bound(table, j * WIDTH) for j in range(hidden, 3)])
+    limit = np.array([_bound(j, table) for j in range(hidden, 3)])
     return np.clip(current, -limit, limit)
 
 

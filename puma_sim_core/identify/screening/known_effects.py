@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from puma_sim_core.dynamics.laws import BRISTLE, DROOP, DRY, SENSED, SMOOTH, TILT, TIMED, VARYING, WIDTH, combined
+from puma_sim_core.dynamics.laws import BRISTLE, DROOP, DRY, SENSED, SMOOTH, TILT, TIMED, VARYING, combined
 from puma_sim_core.dynamics.rigid import library_trigonometry
 from puma_sim_core.dynamics.runs import terminal_voltage
 from puma_sim_core.dynamics.timed import drive_at, push_over
@@ -152,7 +152,7 @@ def known_voltage(mechanism: Mechanism, theta, signals: Signals) -> np.ndarray:
     current = torque * drive.volts_per_torque / drive.resistance
     _add(total, [e for e in plant.effects if e.kind.acts != SENSING], signals, torque)
     total += _lost_before_the_motor(signals, current, active, p, hidden)
-    limit = np.array([_bound(p, j * WIDTH) for j in range(hidden, 3)])
+    limit = np.array([_bound(j, p) for j in range(hidden, 3)])
     model = _model(signals)
     remainder = signals.voltage - model - total
     held = (np.abs(current) >= _HELD * limit) & (remainder * current > 0.0)
@@ -200,7 +200,7 @@ def _lost_before_the_motor(signals: Signals, current, active: int, p, hidden: in
     terminal = out[:, hidden:]
     if active & DROOP:
         drawn = np.pad(current, ((0, 0), (hidden, 0))).tolist()
-        terminal = terminal * np.array([[_share(p, 0, *row)] for row in drawn])
+        terminal = terminal * np.array([[_share(0, *row, p)] for row in drawn])
     return signals.voltage - terminal
 
 
