@@ -171,7 +171,7 @@ class CReference:
 
         It fills the same array each time.
         """
-        body, drive, _, _ = task.plant.constants
+        body, drive = task.plant.constants.body, task.plant.constants.drive
         out = np.empty((task.steps + 1, 9))
         arguments = (
             np.ascontiguousarray(task.state, float),

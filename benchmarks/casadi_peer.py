@@ -19,7 +19,7 @@ def step_function(task: Task):
     """One RK4 step as a CasADi function (state (9), volts (3)) -> state (9)."""
     import casadi as ca
 
-    k, drive, _, _ = task.plant.constants
+    k, drive = task.plant.constants.body, task.plant.constants.drive
     rate, resistance, emf, torque, viscous = (ca.DM(list(drive[j::5])) for j in range(5))
 
     def inertia(q):

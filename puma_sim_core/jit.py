@@ -48,8 +48,11 @@ _FURTHER: list[Path] = []
 
 def add_source(path: Path) -> None:
     """Count a file among what compiled functions are made of, such as that of a user's own effect."""
+    global _CACHE
     if path not in _FURTHER:
         _FURTHER.append(path)
+        # what is decorated from here on may be made of it
+        _CACHE = _cache_directory() if BACKEND == "numba" else None
 
 
 def _source_digest() -> str:
@@ -85,11 +88,10 @@ def _cache_directory() -> str | None:
 
 
 BACKEND = _choose()
+_CACHE = _cache_directory() if BACKEND == "numba" else None
 
 if BACKEND == "numba":
     import numba
-
-    _CACHE = _cache_directory()
 
     def _jit(function, **options):
         before = numba.config.CACHE_DIR

@@ -204,7 +204,9 @@ def test_every_module_whose_code_others_compile_is_in_the_digest():
     listed = [backend._PACKAGE / name for name in backend._SOURCES]
     for path in backend._PACKAGE.rglob("*.py"):
         text = path.read_text(encoding="utf-8")
-        if "\n@inlined\n" in text or "\n@outlined\n" in text:
+        # an experiment of the thesis compiles its own slope, in the file of its entry points
+        own = path.parent.name == "thesis"
+        if not own and ("\n@inlined\n" in text or "\n@outlined\n" in text):
             assert any(path == item or item in path.parents for item in listed), path
 
 

@@ -52,6 +52,13 @@ def parser() -> argparse.ArgumentParser:
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         command.add_arguments(sub)
+        sub.add_argument(
+            "--effects",
+            metavar="FILE",
+            action="append",
+            default=[],
+            help="a Python file with an effect of your own; may be repeated",
+        )
         sub.set_defaults(run=command.run)
     return top
 
@@ -65,7 +72,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     options = parser().parse_args(_with_equals(arguments))
-    return _guarded(lambda: options.run(options))
+    return _guarded(lambda: _run(options))
+
+
+def _run(options: argparse.Namespace) -> int:
+    if options.effects:
+        from puma_sim_core.effects import load_effects
+
+        load_effects(options.effects)
+    return options.run(options)
 
 
 def _with_equals(arguments: Sequence[str]) -> list[str]:

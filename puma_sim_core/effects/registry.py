@@ -29,6 +29,8 @@ from puma_sim_core.jit import add_source
 #: environment variable with the files of users' own effects
 VARIABLE = "PUMA_SIM_EFFECTS"
 _GROUP = "puma_sim.effects"
+#: files of users' own effects that are registered
+_LOADED: set[str] = set()
 _NOT_EFFECTS = ("base", "registry", "relations", "screening", "shared")
 
 
@@ -91,6 +93,7 @@ def _of_entry_points() -> Iterator[Kind]:
 
 def _from_environment() -> Iterator[Kind]:
     for path in filter(None, os.environ.get(VARIABLE, "").split(os.pathsep)):
+        _LOADED.add(str(Path(path).expanduser().resolve()))
         yield _of_file(path)
 
 
@@ -104,8 +107,11 @@ def _related(kinds: list[Kind]) -> dict[str, Kind]:
     pairs = list(LOOK_ALIKES)
     pairs += [(kind.name, pair.other, pair.mine, pair.its) for kind in found.values() for pair in kind.look_alikes]
     table: dict[str, list[LookAlike]] = {name: [] for name in found}
-    for one, other, mine, its in dict.fromkeys(pairs):
-        if one in found and other in found:
+    seen: set[frozenset[str]] = set()
+    for one, other, mine, its in pairs:
+        # an effect that is related already states its pairs from its own side
+        if one in found and other in found and frozenset((one, other)) not in seen:
+            seen.add(frozenset((one, other)))
             table[one].append(LookAlike(other, mine, its))
             table[other].append(LookAlike(one, its, mine))
     return {
@@ -143,19 +149,18 @@ def load_effects(paths: Iterable[str | os.PathLike[str]]) -> None:
     ParameterError : a file without a usable ``EFFECT``, a name twice, or a kernel that has been built already.
     """
     files = [str(Path(path).expanduser().resolve()) for path in paths]
+    files = [file for file in dict.fromkeys(files) if file not in _LOADED]
     if not files:
         return
-    if "puma_sim_core.dynamics.torques" in sys.modules:
+    if "puma_sim_core.dynamics.laws" in sys.modules:
         raise ParameterError(
             f"effects of {', '.join(files)}", expected="to be loaded before anything is simulated: the kernel is built"
         )
-    own = [replace(kind, look_alikes=(), contains=kind.contains) for kind in KINDS.values()]
-    stated = {kind.name: kind.look_alikes for kind in KINDS.values()}
-    known = [replace(kind, look_alikes=stated[kind.name]) for kind in own]
-    combined = _related([*known, *map(_of_file, files)])
+    combined = _related([*KINDS.values(), *map(_of_file, files)])
     KINDS.clear()
     KINDS.update(combined)
     _place()
+    _LOADED.update(files)
     before = os.environ.get(VARIABLE)
     os.environ[VARIABLE] = os.pathsep.join([*([before] if before else []), *files])
 

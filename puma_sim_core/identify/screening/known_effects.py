@@ -30,7 +30,7 @@ from puma_sim_core.dynamics.torques import (
 from puma_sim_core.dynamics.types import Constants
 from puma_sim_core.effects.base import SENSING, Effect, Point
 from puma_sim_core.effects.screening import Signals
-from puma_sim_core.effects.shared.columns import torque_volts
+from puma_sim_core.effects.shared.columns import stretches, torque_volts
 from puma_sim_core.jit import BACKEND, compiled, interpreted
 from puma_sim_core.plant.mechanism import Mechanism
 from puma_sim_core.plant.plant import Plant
@@ -207,7 +207,22 @@ def _lost_before_the_motor(signals: Signals, current, active: int, p, hidden: in
 def _add(total: np.ndarray, effects: list[Effect], signals: Signals, torque: np.ndarray) -> None:
     """Add to (n, J) what effects say of their voltage along the motion [V], where the laws do not."""
     for effect in effects:
+        j = (effect.joint or 1) - 1
         if effect.kind.known_voltage is not None:
-            j = (effect.joint or 1) - 1
             for i, volts in effect.kind.known_voltage(signals, j, effect.values, torque).items():
                 total[:, i] += volts
+        elif effect.kind.memory is not None:
+            total[:, j] += torque_volts(signals, j, _remembered(effect, signals, j))
+
+
+def _remembered(effect: Effect, signals: Signals, j: int) -> np.ndarray:
+    """(n,) torque [N.m] of an effect with a deflection of its own, which each stretch begins without."""
+    follow, law = (interpreted(function) for function in effect.kind.memory)
+    p, out = list(effect.values.values()), np.zeros(len(signals.time))
+    for part in stretches(signals):
+        deflection = 0.0
+        q = signals.position[part, j].tolist()
+        for n, (before, now) in enumerate(zip(q[:1] + q[:-1], q, strict=True)):
+            deflection = follow(p, 0, deflection, now - before)
+            out[part.start + n] = law(p, 0, deflection)
+    return out
