@@ -28,15 +28,15 @@ def test_results_keep_the_order_of_the_items(monkeypatch, cores):
             barrier.wait(timeout=10.0)  # as many at a time as there are cores
         return k * k
 
-    assert parallel.each(square, iter(range(17))) == [k * k for k in range(17)]
-    assert parallel.each(square, ()) == []
+    assert parallel.parallel_map(square, iter(range(17))) == [k * k for k in range(17)]
+    assert parallel.parallel_map(square, ()) == []
 
 
 @pytest.mark.parametrize("cores", [1, 3])
 def test_the_first_error_is_raised(monkeypatch, cores):
     monkeypatch.setattr(parallel, "_CORES", cores)
     with pytest.raises(KeyError, match="2"):
-        parallel.each({0: 0, 1: 1}.__getitem__, (0, 1, 2, 3))
+        parallel.parallel_map({0: 0, 1: 1}.__getitem__, (0, 1, 2, 3))
 
 
 def test_derivatives_have_the_same_bits_on_any_number_of_cores(monkeypatch):

@@ -14,7 +14,7 @@ from puma_sim_core.jit import BACKEND
 _CORES = (os.cpu_count() or 1) if BACKEND == "numba" else 1
 
 
-def each(function: Callable, items: Iterable) -> list:
+def parallel_map(function: Callable, items: Iterable) -> list:
     """The function of each item, in the order of the items; the first error is raised."""
     items = list(items)
     if _CORES == 1 or len(items) < 2:
