@@ -130,7 +130,7 @@ def test_logs_for_validation_are_predicted_as_they_are():
 
 def test_without_any_window_nothing_is_said_against_a_name():
     mechanism = load_mechanism("pendulum")
-    problem, rows, predictor = pieces(mechanism, record(mechanism, mechanism.plant()))
+    problem, _, predictor = pieces(mechanism, record(mechanism, mechanism.plant()))
     none = [lambda t: np.zeros(len(t), dtype=bool)]
     whole = Problem(problem.sampled, mechanism, (), hold_back=False)
     bare = predictor.validated_at(none)

@@ -47,7 +47,7 @@ HIGHEST = float(record(PENDULUM, PENDULUM.plant()).position.max())
 def test_a_fit_comes_to_the_place(text, off):
     true = parse_effect(text)
     log = record(PENDULUM, PENDULUM.plant(effects=(true,)), volts=NOISE, noise=1e-5)
-    problem, _, predictor = pieces(PENDULUM, log, NOISE, 1e-5)
+    _, _, predictor = pieces(PENDULUM, log, NOISE, 1e-5)
     weighting = predictor.white_weighting(predictor.errors(PENDULUM.plant(effects=(true,))))
     fit = PredictionFit(predictor, weighting)
     start = Effect(true.kind, 1, {name: value + off.get(name, 0.0) for name, value in true.values.items()})
@@ -135,7 +135,7 @@ def fit_of(mechanism, effect, seconds=1.0):
     """A fit to a log of a plant with an effect, and its innovations."""
     plant = mechanism.plant(effects=(effect,))
     log = record(mechanism, plant, volts=NOISE, noise=1e-5, seconds=seconds)
-    problem, _, predictor = pieces(mechanism, log, NOISE, 1e-5)
+    _, _, predictor = pieces(mechanism, log, NOISE, 1e-5)
     raw = predictor.errors(plant)
     return PredictionFit(predictor, predictor.white_weighting(raw)), raw
 

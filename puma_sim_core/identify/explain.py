@@ -30,7 +30,7 @@ from puma_sim_core.identify.result import DATA_FAULT, Detectable, Errors, Explan
 from puma_sim_core.identify.screening.causal import CausalScreen
 from puma_sim_core.identify.screening.detect import detectable
 from puma_sim_core.identify.screening.short_list import ShortList
-from puma_sim_core.identify.selection.cross_validation import CrossValidation
+from puma_sim_core.identify.selection.cross_validation import CrossValidation, WeightedModel
 from puma_sim_core.identify.selection.selection import Selection
 from puma_sim_core.identify.selection.state import SelectionState
 from puma_sim_core.identify.selection.validate import rms
@@ -62,7 +62,7 @@ def explain(
     parameters, model : a parameter set, or a model file, to start from.
     columns : channel -> column of the files, such as {"voltage1": "motor_V"}.
     seed : of the placebos and of simulated noise.
-    progress : told (what is done, share 0..1).
+    progress : called with (what is done, share 0..1).
 
     Returns
     -------
@@ -116,8 +116,8 @@ def explain(
 
 
 def _logs(given: Logs, columns: Mapping[str, str] | None, joints: int) -> list[Log]:
-    single = isinstance(given, (str, Log, os.PathLike))
-    return [log if isinstance(log, Log) else read_log(log, columns, joints) for log in ([given] if single else given)]
+    several = [given] if isinstance(given, (str, Log, os.PathLike)) else given
+    return [log if isinstance(log, Log) else read_log(log, columns, joints) for log in several]
 
 
 def _fault(faults: list[Fault], notes: list[str], common: Mapping[str, Any]) -> Explanation:
@@ -127,7 +127,7 @@ def _fault(faults: list[Fault], notes: list[str], common: Mapping[str, Any]) -> 
 class Stages:
     """The stages after the preparation of the logs.
 
-    seed : of placebos; progress : told what is done and which share of all, 0..1.
+    seed : of placebos; progress : called with (what is done, share 0..1).
     """
 
     def __init__(self, prepared: Prepared, seed: int, progress: Callable[[str, float], None]):
@@ -183,6 +183,7 @@ class Stages:
         rows = []
         for name, kind in self.prepared.library.items():
             for j in range(self.mechanism.joints) if kind.per_joint else [None]:
+                assert kind.screening is not None
                 pairs = [(c, causal.gram(c)) for c in kind.screening.candidates(causal.signals, j)]
                 joint = None if j is None else j + 1
                 row = detectable(name, joint, kind, pairs, state.history[-1].needed(joint))
@@ -193,7 +194,7 @@ class Stages:
         """(N, J) voltages [V] that the nominal, the retuned and the augmented model lack, and the tables of errors."""
         self.progress("errors", 0.96)
         p, start = self.predictor, Point(self.mechanism.start, ())
-        points = {"nominal": start, "retuned": state.retuned.point, "augmented": state.model.point}
+        points = {"nominal": start, "retuned": state.weighted_retuned.fitted.point, "augmented": state.model.point}
         plants = {name: self.mechanism.plant(point.theta, point.effects) for name, point in points.items()}
         residuals = {name: self._volts(point) for name, point in points.items()}
         floor = self._floor(state)
@@ -201,7 +202,11 @@ class Stages:
         volts, sensed = p.noise_behind(np.nanvar(left, axis=0), self.problem.sampled.position_noise)
         # what a remainder leaves in the innovations is no noise, nor is all that came before a name
         noise = np.minimum(volts, p.volts), sensed
-        models = {"nominal": start, "retuned": state.weighted_retuned, "augmented": state.weighted}
+        models: dict[str, WeightedModel | Point] = {
+            "nominal": start,
+            "retuned": state.weighted_retuned,
+            "augmented": state.weighted,
+        }
         fit = self.folds.folds[0].validation.errors(plants, residuals, floor, noise)
         return residuals, {"fit": fit, **self.folds.errors(models, floor, noise)}
 
@@ -222,7 +227,8 @@ class Stages:
         raw = self.predictor.errors(self.mechanism.plant(point.theta, point.effects))
         raw = np.where(self.predictor.fit_rows, raw, np.nan)
         less = np.minimum(1.0, np.nanstd(raw, axis=0) / np.array(self.predictor.spread))
-        return less * self.predictor.floor_in_volts(self.problem.sampled.cutoffs[1])
+        floor: np.ndarray = less * self.predictor.floor_in_volts(self.problem.sampled.cutoffs[1])
+        return floor
 
 
 def retracted(selection: Selection, state: SelectionState, folds: CrossValidation) -> SelectionState:

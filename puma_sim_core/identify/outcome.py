@@ -127,7 +127,7 @@ def _named(found: Findings) -> tuple[NamedEffect, ...]:
             else:
                 out.append(RuledOut(t.name, t.joint, _because(key[0], t, own)))
         seen = {(t.name, t.joint) for t in chosen.stage.trials}
-        for other, text in effect.kind.screening.look_alikes:
+        for other, text in _look_alikes(key[0]).items():
             joint = key[1] if other in KINDS and KINDS[other].per_joint else None
             if other in KINDS and (other, joint) not in seen and (other, joint) not in s.keys:
                 out.append(RuledOut(other, joint, f"the screening gave it no evidence; {text}"))
@@ -141,10 +141,16 @@ def _asked(effect: Effect, name: str) -> bool:
     return spec.from_arm is None and name != "motor_share"
 
 
+def _look_alikes(name: str) -> dict[str, str]:
+    """Effects that may be mistaken for one -> what tells the two apart."""
+    screening = KINDS[name].screening
+    return {} if screening is None else dict(screening.look_alikes)
+
+
 def _because(named: str, trial: Trial, best: Trial) -> str:
     if trial.problem is not None:
         return trial.problem
-    text = dict(KINDS[named].screening.look_alikes).get(trial.name)
+    text = _look_alikes(named).get(trial.name)
     lower = f"its evidence is lower by {best.gain - trial.gain:.0f} nat"
     return f"{lower}: {text}" if text else lower
 
@@ -274,7 +280,9 @@ def _drawn(found: Findings) -> Drawn:
     }
     return Drawn(
         np.concatenate(offsets),
-        *(found.residuals[name][nearest] for name in ("nominal", "retuned", "augmented")),
+        found.residuals["nominal"][nearest],
+        found.residuals["retuned"][nearest],
+        found.residuals["augmented"][nearest],
         {name: a[kept] for name, a in series.items()},
         p.held.astype(float),
         _whiteness(found.state.model.errors, found.prepared.predictor),

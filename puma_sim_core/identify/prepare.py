@@ -20,7 +20,7 @@ from puma_sim_core.plant.mechanism import Mechanism
 
 
 def silent(what: str, share: float) -> None:
-    """Progress that is told to nobody."""
+    """Show no progress."""
 
 
 @dataclass(frozen=True)

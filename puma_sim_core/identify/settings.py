@@ -47,8 +47,8 @@ class Fitting:
     start_rows: int = 12
     #: time at the start of a log that the predictor is given to settle [s]: chosen by hand, not calibrated
     settling_time: float = 0.12
-    #: greatest step of integration [s]: a row of 1 ms is one step; RK4 is stable up to 8.4 ms for the quickest winding
-    #: of the arm, and its error at 1 ms is far below any sensor's noise
+    #: greatest step of integration [s]: a row of 1 ms is one step; RK4 is stable up to 8.4 ms for the windings
+    #: of the arm (3 ms), and its error at 1 ms is far below any sensor's noise
     greatest_step_time: float = 1.2e-3
     #: greatest step of integration in time constants of a winding: RK4 is stable up to 2.78 of them
     greatest_step_lags: float = 2.0

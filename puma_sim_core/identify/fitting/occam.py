@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from puma_sim_core.effects import Effect
 from puma_sim_core.identify.fitting.prediction import Fitted, PredictionFit
 from puma_sim_core.identify.screening.evidence import Scored
 from puma_sim_core.identify.settings import FITTING
@@ -18,7 +17,7 @@ from puma_sim_core.identify.settings import FITTING
 
 def screened(scored: Scored) -> float:
     """Occam factor [nat] by the screening."""
-    count = len(scored.values)
+    count = len(scored.values or ())
     return min(max(scored.price, FITTING.least_occam * count), FITTING.greatest_occam * count)
 
 
@@ -26,19 +25,26 @@ def factor(scored: Scored, fit: PredictionFit, fitted: Fitted) -> float:
     """Occam factor [nat] of the last effect of a fitted model: of one with a prior over coordinates, by these and what
     the log leaves of them, else by the screening."""
     effect = fitted.point.effects[-1]
-    coordinates = effect.kind.screening.coordinates
-    if coordinates is None:
+    coordinates = None if effect.kind.screening is None else effect.kind.screening.coordinates
+    if coordinates is None or effect.joint is None:
         return screened(scored)
     number = len(fitted.point.effects) - 1
     own = [k for k, (n, _) in enumerate(fitted.names) if n == number]
     scale = float(fit.mechanism.torque_scale[effect.joint - 1])
     value, mean, deviation = coordinates(effect.values, scale).T
-    slopes = np.column_stack(
-        [
-            _slope(coordinates, effect, fitted.names[k][1], size, scale)
-            for k, size in zip(own, np.array(fit.sizes(fitted.point, fitted.names))[own])
+    sizes = fit.sizes(fitted.point, fitted.names)
+
+    def slope(k: int) -> np.ndarray:
+        """Derivatives (k,) of the coordinates by a parameter, per size."""
+        name, step = fitted.names[k][1], FITTING.coordinate_difference
+        ends = [
+            coordinates({**effect.values, name: effect.values[name] + sign * step * sizes[k]}, scale)[:, 0]
+            for sign in (1.0, -1.0)
         ]
-    )
+        derivatives: np.ndarray = (ends[0] - ends[1]) / (2.0 * step)
+        return derivatives
+
+    slopes = np.column_stack([slope(k) for k in own])
     covariance = slopes @ _covariance(fit, fitted, own) @ slopes.T
     return gaussian(value - mean, deviation, covariance)
 
@@ -58,21 +64,10 @@ def gaussian(distance: np.ndarray, deviation: np.ndarray, covariance: np.ndarray
     return width + 0.5 * float(far @ np.linalg.solve(both, far))
 
 
-def _slope(coordinates, effect: Effect, name: str, size: float, scale: float) -> np.ndarray:
-    """(k,) derivatives of the coordinates by a parameter, per size."""
-    ends = [
-        coordinates({**effect.values, name: effect.values[name] + sign * FITTING.coordinate_difference * size}, scale)[
-            :, 0
-        ]
-        for sign in (1.0, -1.0)
-    ]
-    return (ends[0] - ends[1]) / (2.0 * FITTING.coordinate_difference)
-
-
 def _covariance(fit: PredictionFit, fitted: Fitted, own: list[int]) -> np.ndarray:
     """(c, c) what the log leaves of some free parameters of the effects, all others fitted, per
     size; without their own priors."""
-    J = fitted.jacobian
+    J = fitted.slopes
     p = J.shape[1] - len(fitted.names)
     precision = fit.prior(fitted.point, fitted.names)[1].copy()
     precision[own] = FITTING.no_precision

@@ -29,7 +29,7 @@ Pairs = tuple[tuple[int, str], ...]
 #: effects that give a joint two masses: a model with one takes some ten times as long to run
 TWO_MASSES = frozenset({"backlash", "joint_elasticity"})
 #: (effect, parameter) -> how far it must move to matter, or the parameter that says so
-_MATTERS = {
+_MATTERS: dict[tuple[str, str], float | str] = {
     ("soft_stop", "lower"): 0.02,
     ("soft_stop", "upper"): 0.02,
     ("impulse", "time"): "width",
@@ -159,7 +159,8 @@ class PredictionFit:
 
     def white(self, derivatives: np.ndarray) -> np.ndarray:
         """(N', p) derivatives after whitening, at the rows to fit, of those before it (N, J, p)."""
-        return self.weighting(derivatives)[self.rows]
+        whitened: np.ndarray = self.weighting(derivatives)[self.rows]
+        return whitened
 
     def _raw(self, point: Point) -> np.ndarray | None:
         try:
@@ -180,7 +181,8 @@ class PredictionFit:
             effects = _with_value(point.effects, number, name, effect.values[name] + share * size)
             moved = None if effects is None else self._raw(Point(point.theta, effects))
             if moved is not None:
-                return (moved - raw) / share
+                derivative: np.ndarray = (moved - raw) / share
+                return derivative
         return np.zeros_like(raw)
 
     def run(
@@ -305,18 +307,22 @@ class PredictionFit:
         all torques; parts of the step."""
         sizes = self.sizes(point, pairs)
         for share in FITTING.step_shares:
-            moved = self.stepped(point, share * step, pairs, sizes)
-            trial = None if moved is None else self.errors(moved)
-            if trial is None:
-                continue
-            yield moved, trial
-            if share < 1.0:
-                continue
-            back = self._newton(full, moved, trial, pairs)
-            moved = self.stepped(moved, back, pairs, self.sizes(moved, pairs))
-            trial = None if moved is None else self.errors(moved)
-            if trial is not None:
-                yield moved, trial
+            moved = self._moved(point, share * step, pairs, sizes)
+            if moved is not None:
+                yield moved
+            if moved is not None and share == 1.0:
+                back = self._newton(full, *moved, pairs)
+                moved = self._moved(moved[0], back, pairs, self.sizes(moved[0], pairs))
+                if moved is not None:
+                    yield moved
+
+    def _moved(
+        self, point: Point, step: np.ndarray, pairs: Pairs, sizes: list[float]
+    ) -> tuple[Point, np.ndarray] | None:
+        """The model a step away and its errors, None where it cannot be run."""
+        moved = self.stepped(point, step, pairs, sizes)
+        errors = None if moved is None else self.errors(moved)
+        return None if moved is None or errors is None else (moved, errors)
 
     def sizes(self, point: Point, pairs: Pairs) -> list[float]:
         """What the columns of effects are derivatives per: the size of each parameter."""

@@ -213,7 +213,8 @@ class Predictor:
         size = fft.next_fast_len(len(errors) + len(taps) + int(2.0 / (cutoff * self.step)), real=True)
         f = fft.rfftfreq(size, self.step)
         ratio = filters.response(f, cutoff) / fft.rfft(taps, size)
-        return fft.irfft(fft.rfft(errors, size) * ratio, size)[: len(errors)]
+        volts: np.ndarray = fft.irfft(fft.rfft(errors, size) * ratio, size)
+        return volts[: len(errors)]
 
     def floor_in_volts(self, cutoff: float) -> np.ndarray:
         """(J,) `in_volts` root mean square [V] of a true model with this noise."""
@@ -313,7 +314,8 @@ class Predictor:
 def _response(F: np.ndarray, G: np.ndarray, C: np.ndarray, gain: np.ndarray) -> np.ndarray:
     """Innovations (k,) of a predictor after one row of a voltage that it does not know of."""
     kept = F @ (np.eye(len(F)) - gain[:, None] @ C)
-    x, out, greatest = -G[:, 0], [], 0.0
+    x, greatest = -G[:, 0], 0.0
+    out: list[float] = []
     while len(out) < FITTING.response_rows:
         out.append(float(C[0] @ x))
         greatest = max(greatest, abs(out[-1]))

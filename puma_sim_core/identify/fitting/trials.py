@@ -8,6 +8,8 @@ validation set, and whether its parameters are those of a machine, are the other
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,7 +30,7 @@ Key = tuple[str, int | None]
 
 #: parameters that a screening gives and a fit leaves alone
 STRUCTURAL = frozenset({"motor_share", "order", "ratio", "transmitted"})
-_STRUCTURAL_OF = {"payload": {"y"}, "transmission_error": set()}
+_STRUCTURAL_OF: dict[str, AbstractSet[str]] = {"payload": {"y"}, "transmission_error": set()}
 _IMPOSSIBLE = "it would need an impossible value"
 #: stiffnesses of which more means less of an effect
 _LESS_WHEN_STIFFER = {("joint_elasticity", "stiffness"), ("presliding_friction", "stiffness")}
@@ -172,8 +174,8 @@ class Trials:
                 starts += [fitted.point, Point(self.mechanism.start, screened.effects)]
             fitted = _lowest(fitted, *self._relinearised(base, free, starts, not _fixed(scored)))
         if fitted is None:
-            problem = "the model with it does not stay finite along the log"
-            return Trial(scored, 0.0, 0.0, None, occam.screened(scored), problem)
+            what = "the model with it does not stay finite along the log"
+            return Trial(scored, 0.0, 0.0, None, occam.screened(scored), what)
         return self.judged(base.fit, base.model, scored, fitted)
 
     def _relinearised(self, base: Base, free: Pairs, starts: list[Point], patient: bool) -> list[Fitted | None]:
@@ -197,12 +199,13 @@ class Trials:
     def _compensated(self, base: Base, scored: Scored) -> Point | None:
         """The model with an effect as screened and the parameters as they answer to it, both by slopes about nothing of
         it: one that looks like parameters, such as a load, is far from the log as long as they have taken its place."""
-        if scored.entry is None or _fixed(scored) or scored.name in TWO_MASSES:
+        coefficients = scored.coefficients
+        if scored.entry is None or coefficients is None or _fixed(scored) or scored.name in TWO_MASSES:
             return None
         fit, model, values = base.fit, base.model, scored.entry.candidate.values
         try:
             little, whole = (
-                self.effect(replace(scored, values=values(part * scored.coefficients)))
+                self.effect(replace(scored, values=values(part * coefficients)))
                 for part in (FITTING.small_coefficients, 1.0)
             )
         except (Illegal, ParameterError):
@@ -256,39 +259,43 @@ class Trials:
             (number, name) for number, effect in enumerate(point.effects) for name in self.names(effect, effect.values)
         )
 
-    def names(self, effect: Effect, values) -> list[str]:
+    def names(self, effect: Effect, values: Iterable[str] | None) -> list[str]:
         """Parameters that are fitted: those of the screening, without structure and without
         what the effect takes from its machine."""
         taken = {p.name for p in effect.kind.parameters if p.from_arm is not None}
         keep = {"soft_stop": {"lower", "upper"}, "payload": {"z"}}.get(effect.kind.name, set())
-        held = _STRUCTURAL_OF.get(effect.kind.name, STRUCTURAL)
-        names = [name for name in values if name not in held]
+        structural = _STRUCTURAL_OF.get(effect.kind.name, STRUCTURAL)
+        names = [name for name in values or () if name not in structural]
         names = [name for name in names if name not in taken or name in keep]
         if effect.kind.name == "soft_stop":
             names = [n for n in names if n == "stiffness" or self._stop_is_touched(effect, n)]
         return names
 
-    def _stop_is_touched(self, effect, name) -> bool:
+    def _stop_is_touched(self, effect: Effect, name: str) -> bool:
+        assert effect.joint is not None
         q = self.problem.sampled.position[:, effect.joint - 1]
         if name == "lower":
-            return effect.values["lower"] > q.min()
-        return name == "upper" and effect.values["upper"] < q.max()
+            return bool(effect.values["lower"] > q.min())
+        return name == "upper" and bool(effect.values["upper"] < q.max())
 
     def effect(self, scored: Scored) -> Effect:
+        """The effect of a hypothesis with its screened values, within their bounds."""
         kind = KINDS[scored.name]
-        values = dict(scored.values)
+        values = dict(scored.values or {})
         for p in kind.parameters:
             if p.name in values:
                 values[p.name] = min(max(values[p.name], p.low), p.high)
-        plant = self.mechanism.plant(self.mechanism.start, (Effect(kind, scored.joint, values),))
-        return plant.effects[-1]
+        effects: tuple[Effect, ...] = self.mechanism.plant(
+            self.mechanism.start, (Effect(kind, scored.joint, values),)
+        ).effects
+        return effects[-1]
 
     def implausible(self, effect: Effect) -> str | None:
         """Why an effect can be none of this machine, None where it may be one; of other mechanisms
         than the arm no sizes are known, but that a wave has a length within its joint's range."""
-        if not self._on_arm():
+        if self.problem.sampled.joints != 3:
             return self._no_wave(effect)
-        for name, low, high in effect.kind.screening.plausible:
+        for name, low, high in _plausible(effect):
             value = effect.values.get(name)
             if value is None:
                 continue
@@ -301,7 +308,7 @@ class Trials:
     def _no_wave(self, effect: Effect) -> str | None:
         """Why waves over the position are none: they are longer than the joint can go twice."""
         period = effect.values.get("period")
-        if period is None:
+        if period is None or effect.joint is None:
             return None
         low, high = self.mechanism.ranges[effect.joint - 1]
         far = FITTING.above_plausible * (high - low)
@@ -311,7 +318,7 @@ class Trials:
     def _too_small(effect: Effect) -> str | None:
         """Why an effect is less than any machine has, if all of its sizes are."""
         found = None
-        for name, low, high in effect.kind.screening.plausible:
+        for name, low, _ in _plausible(effect):
             if name in _NO_SIZE:
                 continue
             value = abs(effect.values.get(name, np.inf))
@@ -320,8 +327,10 @@ class Trials:
             found = f"{_IMPOSSIBLE}: {name} {value:.3g}, less than any machine has ({low:.3g})"
         return found
 
-    def _on_arm(self) -> bool:
-        return self.problem.sampled.joints == 3
+
+def _plausible(effect: Effect) -> tuple[tuple[str, float, float], ...]:
+    """(parameter, least, greatest) size on a machine."""
+    return () if effect.kind.screening is None else effect.kind.screening.plausible
 
 
 def _fixed(scored: Scored) -> bool:

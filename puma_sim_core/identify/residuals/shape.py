@@ -40,8 +40,8 @@ Pairs = Iterable[tuple[Candidate, dict[int, np.ndarray]]]
 class Axis:
     """What a curve is drawn over.
 
-    coordinate (n,) : at all rows; knots (k,); columns (n, k) : of unit heights at the knots; way : how the axis acts, in
-    words after its name, "" for a plain curve.
+    coordinate (n,) : at all rows; knots (k,); columns (n, k) : of unit heights at the knots; way : how the axis acts,
+    in words after its name, "" for a plain curve.
     """
 
     name: str
@@ -116,7 +116,7 @@ def _plays(values: np.ndarray, segment: np.ndarray, widths: np.ndarray) -> np.nd
 
 
 @compiled
-def play(values, segment, half):
+def play(values: np.ndarray, segment: np.ndarray, half: float) -> np.ndarray:
     """values less the output of a play operator of half width `half`, at rest in its middle at the start of each
     segment. Arrays (n,), returns (n,)."""
     out = np.empty_like(values)
@@ -145,15 +145,34 @@ class Curve:
     pairs: Pairs
     way: str = ""
 
+    @property
+    def joint(self) -> int:
+        """Its joint (1-based)."""
+        assert self.scored.joint is not None
+        return self.scored.joint
+
+    @property
+    def candidate(self) -> Candidate:
+        """The candidate that fits best."""
+        assert self.scored.entry is not None
+        return self.scored.entry.candidate
+
+    @property
+    def heights(self) -> np.ndarray:
+        """(k,) heights at the knots [V], or of sine and cosine."""
+        assert self.scored.coefficients is not None
+        return self.scored.coefficients
+
     def volts(self, causal: CausalScreen) -> np.ndarray:
         """(N, J) voltage [V] of the curve at the rows before the innovations."""
-        candidate, heights = self.scored.entry.candidate, self.scored.coefficients
+        candidate, heights = self.candidate, self.heights
         if candidate.columns:
             return causal.volts(candidate, heights)
-        out, j = np.zeros_like(causal.signals.voltage), self.scored.joint - 1
+        out, j = np.zeros_like(causal.signals.voltage), self.joint - 1
         phase = 2.0 * np.pi * candidate.grid["frequency"] * causal.signals.time
         out[:, j] = heights[0] * np.sin(phase) + heights[1] * np.cos(phase)
-        return out * causal.signals.enable
+        volts: np.ndarray = out * causal.signals.enable
+        return volts
 
 
 def curves(causal: CausalScreen, position_unit: str = "rad", joints: Collection[int] | None = None) -> list[Curve]:
@@ -187,7 +206,8 @@ def curves(causal: CausalScreen, position_unit: str = "rad", joints: Collection[
 
 def again(causal: CausalScreen, curve: Curve) -> Curve:
     """A curve as scored in another screen."""
-    candidate, joint = curve.scored.entry.candidate, curve.scored.joint
+    candidate, joint = curve.candidate, curve.joint
+    pairs: Pairs
     if candidate.columns:
         pairs = [(candidate, causal.columns(candidate))]
     else:
@@ -200,7 +220,7 @@ def best_of_joints(found: list[Curve], share: float) -> list[Curve]:
     """The best curve of each joint that gains such a share of the best gain at least."""
     best: dict[int, Curve] = {}
     for curve in found:
-        best.setdefault(curve.scored.joint, curve)
+        best.setdefault(curve.joint, curve)
     return [c for c in best.values() if c.scored.gain >= share * found[0].scored.gain]
 
 
@@ -214,7 +234,7 @@ def simplest_first(found: list[Curve]) -> list[Curve]:
         for c in found
         if c.scored.joint == found[0].scored.joint and c.scored.gain > RESIDUALS.nearly * found[0].scored.gain
     ]
-    first = min(near or found[:1], key=lambda c: len(c.scored.coefficients))
+    first = min(near or found[:1], key=lambda c: len(c.heights))
     return [first, *(c for c in found if c is not first)]
 
 
@@ -227,18 +247,18 @@ def noise(causal: CausalScreen, found: list[Curve]) -> Weighting:
     """The weighting by what is left of each joint after the curve that explains it best.
 
     Each of the first curves of a joint, and none at all, is set beside the others with the noise that it leaves, by the
-    likelihood of the two together: what a curve explains is then no noise, and noise that a curve follows by chance does
-    not make the rest look clear.
+    likelihood of the two together: what a curve explains is then no noise, and noise that a curve follows by chance
+    does not make the rest look clear.
     """
     predictor, before = causal.predictor, causal.fit.weighting
     alone, taps = causal.left(), []
     for j in range(causal.J):
         best = colour.noise(predictor, alone[:, j], j, before)
         most = best.log_likelihood
-        own = [(c.scored, c.axis) for c in found if c.axis is not None and c.scored.joint == j + 1]
-        clear = [(scored, axis) for scored, axis in own if scored.gain > RESIDUALS.clear]
-        for scored, axis in clear[: RESIDUALS.most_curves]:
-            left = causal.left(scored.entry.candidate, scored.coefficients)
+        own = [(c, c.axis) for c in found if c.axis is not None and c.joint == j + 1]
+        clear = [(curve, axis) for curve, axis in own if curve.scored.gain > RESIDUALS.clear]
+        for curve, axis in clear[: RESIDUALS.most_curves]:
+            left = causal.left(curve.candidate, curve.heights)
             noise_left = colour.noise(predictor, left[:, j], j, before)
             worth = noise_left.log_likelihood - RESIDUALS.occam_knot * len(axis.knots)
             if worth > most:
@@ -325,10 +345,13 @@ def _angle_lines(causal: CausalScreen, j: int, height: float, factor: np.ndarray
 
 def describe(best: Curve, ranking: tuple[tuple[str, float], ...]) -> Shape:
     """The best curve with its 95 % band."""
-    scored, axis = best.scored, best.axis
-    heights, covariance, grid = scored.coefficients, scored.covariance, scored.entry.candidate.grid
+    axis, heights, covariance, grid = best.axis, best.heights, best.scored.covariance, best.candidate.grid
+    assert covariance is not None
     spread = RESIDUALS.normal_quantile * np.sqrt(np.diag(covariance))
     name, unit, way, frequency = "motor_angle", "rad", best.way, grid.get("frequency")
+    centre: np.ndarray
+    curve: np.ndarray
+    band: np.ndarray
     if axis is None:
         phase = np.linspace(0.0, 2.0 * np.pi, RESIDUALS.line_points)
         curve = heights[0] * np.sin(phase) + heights[1] * np.cos(phase)
@@ -348,4 +371,4 @@ def describe(best: Curve, ranking: tuple[tuple[str, float], ...]) -> Shape:
             columns = grid["height"] / axis.knots[-1] * shares
             curve = columns @ heights
             band = RESIDUALS.normal_quantile * np.sqrt(np.einsum("ij,jk,ik->i", columns, covariance, columns))
-    return Shape(name, unit, scored.joint, centre, curve, curve - band, curve + band, frequency, ranking, way)
+    return Shape(name, unit, best.joint, centre, curve, curve - band, curve + band, frequency, ranking, way)

@@ -30,12 +30,12 @@ def remainder(state: SelectionState, curves: Sequence[Curve], chance: float, lef
     """
     if not curves:
         return None
-    best = curves[0].scored
+    best = curves[0]
     first = max((chosen.gain for chosen in state.chosen), default=0.0)
     inexact = left[best.joint - 1] < RESIDUALS.above_floor
     by_chance = RESIDUALS.placebo_factor * chance + RESIDUALS.placebo_margin
     need = max(RESIDUALS.least_remainder, by_chance, RESIDUALS.remainder_share * first * inexact)
-    return curves[0] if best.gain > need else None
+    return best if best.scored.gain > need else None
 
 
 def curve_preferred(curve: float, names: float, occam: float, remains: bool) -> bool:
@@ -90,11 +90,12 @@ class Unnamed:
             causal = self._causal(point, bare.names, causal.fit.weighting, volts)
         noise = shape.noise(causal, [shape.again(causal, curve)])
         causal = self._causal(point, bare.names, noise, volts)
-        best = shape.again(causal, curve).scored
-        rows = self.predictor.fit_rows[:, best.joint - 1]
-        left = causal.left(best.entry.candidate, best.coefficients)[rows, best.joint - 1]
-        names = noise(self._raw(named.point))[rows, best.joint - 1]
-        return curve_preferred(float(left @ left), float(names @ names), best.price, remains)
+        best = shape.again(causal, curve)
+        j = best.joint - 1
+        rows = self.predictor.fit_rows[:, j]
+        left = causal.left(best.candidate, best.heights)[rows, j]
+        names = noise(self._raw(named.point))[rows, j]
+        return curve_preferred(float(left @ left), float(names @ names), best.scored.price, remains)
 
     def _about(self, final: Fitted, joints: Collection[int] | None = None) -> tuple[CausalScreen, list[Curve]]:
         """The screen about a model, and its curves, best first."""
@@ -143,7 +144,7 @@ class Unnamed:
             nominal = Point(self.mechanism.start, final.point.effects)
             causal = self._causal(nominal, final.names, causal.fit.weighting)
             about.append((causal, shape.curves(causal, self.mechanism.position_unit, joints)))
-        tried = []
+        tried: list[tuple[float, int, Point, np.ndarray, Curve]] = []
         for causal, found in about:
             # where parameters stay near, so do derivatives by them; those of two masses take long
             anew = stretched and not causal.point.two_mass

@@ -6,12 +6,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import TypeVar
 
 from puma_sim_core.effects import Effect, Kind
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
 from puma_sim_core.identify.fitting.trials import Key, Trial, Trials
 from puma_sim_core.identify.selection.state import Chosen, SelectionState, Stage, accepting
 from puma_sim_core.identify.settings import SELECTION
+
+Item = TypeVar("Item")
 
 
 class Elimination:
@@ -50,7 +53,7 @@ class Elimination:
         first = len(point.theta)
         own = [first + k for k, (n, _) in enumerate(pairs) if n == number]
         others = jacobian[:, [c for c in range(jacobian.shape[1]) if c not in own]]
-        bare = fit.run(without, (), jacobian=others, frozen=frozen, rounds=4)
+        bare = fit.run(without, (), jacobian=others, frozen=frozen)
         if bare is None or full is None:
             return None
         if bare.objective - full.objective - chosen.occam < SELECTION.least_gain:
@@ -60,7 +63,7 @@ class Elimination:
             effect = rival.effect
             moved = Point(bare.point.theta, (*bare.point.effects, effect))
             free = [(len(rest), name) for name in self.trials.names(effect, effect.values)]
-            tried = fit.run(moved, free, jacobian=others, frozen=frozen, rounds=4)
+            tried = fit.run(moved, free, jacobian=others, frozen=frozen)
             if tried is None or self.trials.implausible(tried.point.effects[-1]):
                 continue
             gain = full.objective - tried.objective - rival.occam + chosen.occam
@@ -148,7 +151,7 @@ def _open(stage: Stage, keys: tuple[Key, ...]) -> list[Trial]:
     return [t for t in stage.trials if t.possible and t.key not in keys]
 
 
-def _less(items: tuple, number: int) -> tuple:
+def _less(items: tuple[Item, ...], number: int) -> tuple[Item, ...]:
     """All items but one."""
     return (*items[:number], *items[number + 1 :])
 

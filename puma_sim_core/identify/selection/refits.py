@@ -117,7 +117,8 @@ class Refits:
     def rebased(self, state: SelectionState) -> SelectionState:
         """The model is fitted on from where the trials' parameters lead to, where that is better: what they gain
         without the effects that were tried is no gain of those."""
-        fit, found = PredictionFit(self.predictor, state.noise), []
+        fit = PredictionFit(self.predictor, state.noise)
+        found: list[tuple[float, int, Point]] = []
         for t in state.trials:
             if t.fitted is not None:
                 point = Point(t.fitted.point.theta, t.fitted.point.effects[:-1])

@@ -38,7 +38,7 @@ class Selection:
     """The selection on one problem.
 
     short_list : which hypotheses are worth a trial; trials : makes these; library : name -> effect; seed : of the
-    placebos; progress : told what is done and which share of all, 0..1.
+    placebos; progress : called with (what is done, share 0..1).
     """
 
     def __init__(
@@ -163,13 +163,13 @@ class Selection:
         noise: else two noises are compared."""
         fit, point = PredictionFit(self.predictor, state.noise), state.model.point
         pairs = self.trials.free(point)
-        end = {"gain": FITTING.finished_final, "times": FITTING.relinearisations_final}
-        model, _ = fit.to_end(point, pairs, **end)
+        gain, times = FITTING.finished_final, FITTING.relinearisations_final
+        model, _ = fit.to_end(point, pairs, gain=gain, times=times)
         jacobian = fit.derivatives(model.point, pairs)
         model = replace(model, jacobian=fit.white(jacobian))
         retuned = model
         if state.chosen and state.retuned is not None:
-            retuned, _ = fit.to_end(state.retuned.point, (), **end)
+            retuned, _ = fit.to_end(state.retuned.point, (), gain=gain, times=times)
         return replace(state, model=model, jacobian=jacobian, retuned=retuned, trials=())
 
     # what the passes are made of

@@ -62,9 +62,10 @@ class Validation:
                 return [np.full((rows.stop - rows.start, plant.joints), SELECTION.not_finite) for _, rows in turn]
             return [parts[number].innovation[rows] for number, rows in turn]
 
-        found = [errors for turn in parallel_map(of, self.turns[key]) for errors in turn]
+        found = [part for turn in parallel_map(of, self.turns[key]) for part in turn]
         found.append(np.zeros((0, p.fit_rows.shape[1])))
-        return np.clip(np.concatenate(found), -SELECTION.not_finite, SELECTION.not_finite)
+        errors: np.ndarray = np.clip(np.concatenate(found), -SELECTION.not_finite, SELECTION.not_finite)
+        return errors
 
     def volts(self, plant: Plant) -> np.ndarray:
         """(N, J) voltages [V] that a plant lacks along the logs, at the rows of the innovations."""
@@ -99,9 +100,11 @@ class Validation:
 
 
 def position_floor(predictor: Predictor, lengths: np.ndarray, volts: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """(J,) what noise alone makes of windows of so many rows (w,), each joint by itself: that of
-    the voltages volts (J,) [V a row] and of the sensor's positions noise (J,), before the start,
-    which they make uncertain, and after it. NaN without windows."""
+    """(J,) root mean square error [rad or m] that noise alone makes in windows, NaN without any.
+
+    lengths (w,) : rows of the windows; volts, noise (J,) : of a row's voltage [V] and of a position [rad or m], before
+    the start of a window, which they make uncertain, and after it.
+    """
     if not len(lengths):
         return np.full(len(noise), np.nan)
     spread = predictor.open_loop_variance(volts, noise, int(lengths.max()))
