@@ -38,20 +38,18 @@ def record(mechanism, plant, volts=0.0, noise=0.0, enable=None, seconds=SECONDS,
 
 
 def pieces(mechanism, log, volts=0.02, noise=1e-6, place=0.5):
-    """(problem, function of a problem -> the rows it keeps back, predictor) of a log with such
+    """(problem, function of a problem -> its validation set, predictor) of a log with such
     noise, blocks at a place of their period."""
     problem = Problem(sample([log]), mechanism, place=place)
 
-    def kept_back(of):
+    def rows(of):
         held = np.interp(log.time, of.sampled.time[of.kept], of.held.astype(float))
         return [lambda t: np.interp(t, log.time, held) > 0.5]
 
     return (
         problem,
-        kept_back,
-        Predictor(
-            [log], mechanism, kept_back(problem), np.full(mechanism.joints, volts), np.full(mechanism.joints, noise)
-        ),
+        rows,
+        Predictor([log], mechanism, rows(problem), np.full(mechanism.joints, volts), np.full(mechanism.joints, noise)),
     )
 
 

@@ -25,7 +25,7 @@ from puma_sim_core.identify.result import Hypothesis
 from puma_sim_core.identify.screening.evidence import screen
 from puma_sim_core.identify.screening.problem import Problem
 from puma_sim_core.identify.screening.search import Search
-from puma_sim_core.identify.selection.selected import LEAST_GAIN
+from puma_sim_core.identify.settings import SELECTION
 from puma_sim_core.plant.mechanism import load_mechanism
 from puma_sim_core.plant.plant import dump_model
 from puma_sim_core.recording.recording import read_csv
@@ -167,7 +167,7 @@ def test_what_is_left_of_an_effect_is_that_of_least_squares():
 @pytest.mark.parametrize("seed", (1, 2, 3))
 def test_it_is_better_than_a_plain_motion(seed):
     found = designed("pendulum", "stribeck_friction,presliding_friction", seed=seed, motions=24)
-    assert found.nats > 3.0 * found.plain and found.nats > LEAST_GAIN
+    assert found.nats > 3.0 * found.plain and found.nats > SELECTION.least_gain
 
 
 def test_it_is_better_than_a_plain_motion_on_the_arm(designs):
@@ -179,7 +179,7 @@ def test_a_special_case_is_told_one_way_only(designs):
     assert designs["pendulum"].one_way == "stribeck_friction@1"
     assert "special case" in designs["pendulum"].sentence
     # an offset is no special case of friction, nor the other way round
-    assert designs["slide"].one_way is None and designs["slide"].nats > LEAST_GAIN
+    assert designs["slide"].one_way is None and designs["slide"].nats > SELECTION.least_gain
 
 
 def test_exact_ties_are_reported_as_impossible():
@@ -338,7 +338,7 @@ def test_a_tie_is_broken_by_the_excitation_for_it(truth):
     slow = Builder(machine, Limits.of(machine), 8.0).plain()
     slow = slow.shrunk(np.array([0.1]), slow.centre)
     poor = gains(machine, recorded(machine, slow, truth), names)
-    assert min(poor.values()) > LEAST_GAIN and abs(np.diff(list(poor.values()))[0]) < 8.0
+    assert min(poor.values()) > SELECTION.least_gain and abs(np.diff(list(poor.values()))[0]) < 8.0
     asked = next_experiment(machine, [tuple(Hypothesis(name, 1) for name in names)], (), "log.csv")
     options = parser().parse_args(shlex.split(asked.command)[1:])
     found = designed(options.plant, options.separate)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""Rules of the choice of names: what is retracted, what counts as a tie, what a trial costs."""
+"""Rules of the selection: what is retracted, what counts as a tie, what an effect needs to be named."""
 
 from __future__ import annotations
 
@@ -12,48 +12,57 @@ import pytest
 
 from puma_sim_core.effects import KINDS, parse_effect
 from puma_sim_core.identify.checks.wrong_zero import wrong_zeros
-from puma_sim_core.identify.explain import _confirmed
+from puma_sim_core.identify.explain import retracted
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
 from puma_sim_core.identify.fitting.trials import Trial, Trials, tied
-from puma_sim_core.identify.outcome import no_name_stands
-from puma_sim_core.identify.selection.selected import Selected, Stage
-from puma_sim_core.identify.selection.selection import Selection
-from puma_sim_core.identify.selection.tidying import Tidying
+from puma_sim_core.identify.residuals.unnamed import curve_preferred
+from puma_sim_core.identify.screening.evidence import Scored
+from puma_sim_core.identify.selection.elimination import Elimination
+from puma_sim_core.identify.selection.selection import Selection, noise_refused
+from puma_sim_core.identify.selection.state import Chosen, SelectionState, Stage
 from puma_sim_core.plant.mechanism import load_mechanism
 
 A, B = ("coulomb_friction", 1), ("impulse", 2)
 
 
-def trial(key, gain, price=3.0, held=10.0):
-    return Trial(*key, gain, held, None, price)
+def scored(key):
+    return Scored(*key, 0.0, 0.0, None, None, None, None)
+
+
+def trial(key, gain, occam=3.0, validation_gain=10.0):
+    return Trial(scored(key), gain, validation_gain, None, occam)
 
 
 def fitted(*names):
     return Fitted(Point(np.zeros(1), tuple(names)), np.zeros((4, 2)), 0.0, ())
 
 
+def state_of(stages, *chosen, **more):
+    """The state of a selection that accepted these trials in these stages, or has them instead of what was accepted."""
+    made = tuple(each if isinstance(each, Chosen) else Chosen.of(each, tuple(stages)) for each in chosen)
+    model = fitted(*(each.key for each in made))
+    return SelectionState(model, None, None, made, tuple(stages), retuned=fitted(), **more)
+
+
 @dataclass
 class Chooser:
     """Takes an effect out as `Selection.without` does."""
 
-    def without(self, selected, key):
-        keys = tuple(k for k in selected.keys if k != key)
-        return Selected(
-            selected.retuned, fitted(*keys), keys, selected.stages, None, retracted=(*selected.retracted, key)
-        )
+    def without(self, state, key):
+        left = tuple(chosen for chosen in state.chosen if chosen.key != key)
+        model = fitted(*(chosen.key for chosen in left))
+        return replace(state, model=model, chosen=left, retracted=(*state.retracted, key))
 
 
 def confirmed(errors, first, second):
-    """Names that stay, and those retracted, by errors {names: error held out}."""
-    stages = [Stage([t], 8.0, None, [], None, t) for t in (first, second)]
-    keys = (first.key, second.key)
-    selected = Selected(fitted(), fitted(*keys), keys, stages, None)
+    """Effects that stay, and those retracted, by errors {effects: error in cross-validation}."""
+    state = state_of([Stage((t,), 8.0, None, t) for t in (first, second)], first, second)
 
     def lower(model, than):
-        assert than.fitted is selected.retuned
+        assert than.fitted is state.retuned
         return errors[frozenset(model.fitted.point.effects)] < errors[frozenset()]
 
-    found = _confirmed(Chooser(), selected, SimpleNamespace(lower=lower))
+    found = retracted(Chooser(), state, SimpleNamespace(lower=lower))
     return found.keys, found.retracted
 
 
@@ -61,7 +70,7 @@ def errors(none, a, b, both):
     return {frozenset(): none, frozenset([A]): a, frozenset([B]): b, frozenset([A, B]): both}
 
 
-def test_names_that_lower_the_error_held_out_stay():
+def test_effects_that_lower_the_error_in_cross_validation_stay():
     assert confirmed(errors(1.0, 0.7, 0.8, 0.5), trial(A, 90.0), trial(B, 30.0)) == ((A, B), ())
 
 
@@ -75,9 +84,9 @@ def test_without_a_lower_error_there_is_no_name():
 
 
 @pytest.mark.parametrize(
-    "curve, names, price, remains, wanted",
+    "curve, names, occam, remains, wanted",
     [
-        # what is left has a shape: names are inexact, and give way to what is clearly better
+        # what is left has a shape: names are inexact, and replaced by what is clearly better
         (8900.0, 10000.0, 30.0, True, True),
         (9300.0, 10000.0, 30.0, True, False),
         # nothing seems to be left, but a curve leaves less than these names of a joint's noise
@@ -88,8 +97,8 @@ def test_without_a_lower_error_there_is_no_name():
         (980.0, 1000.0, 5.0, False, False),
     ],
 )
-def test_a_free_curve_that_leaves_clearly_less_lets_no_name_stand(curve, names, price, remains, wanted):
-    assert no_name_stands(curve, names, price, remains) is wanted
+def test_a_free_curve_that_leaves_clearly_less_is_preferred_to_the_named_effects(curve, names, occam, remains, wanted):
+    assert curve_preferred(curve, names, occam, remains) is wanted
 
 
 @pytest.mark.parametrize("limit, wanted", [(97.5, "current_limit"), (96.0, "impulse")])
@@ -140,8 +149,8 @@ def test_rivals_are_the_best_and_those_that_contain_what_was_chosen():
         (("asymmetric_coulomb_friction", 2), 40.0),
     ]
     trials = [chosen, *(replace(trial(*each), fitted=fitted()) for each in others)]
-    stage = Stage(trials, 15.0, None, [], None, chosen)
-    found = Tidying._rivals(SimpleNamespace(library=KINDS), [stage], chosen.key, (chosen.key,))
+    state = state_of([Stage(tuple(trials), 15.0, None, chosen)], chosen)
+    found = elimination()._rivals(state, chosen.key)
     assert [t.name for t in found] == [
         "voltage_dead_band",
         "stribeck_friction",
@@ -150,17 +159,20 @@ def test_rivals_are_the_best_and_those_that_contain_what_was_chosen():
     ]
 
 
-def test_an_effect_that_took_the_place_of_another_has_a_gain_of_its_own():
-    first, second = (Stage([t], 8.0, None, [], None, t) for t in (trial(A, 90.0), trial(B, 30.0)))
+def elimination(trials=None):
+    return Elimination(trials or SimpleNamespace(predictor=None), KINDS)
+
+
+def test_an_effect_that_replaced_another_has_a_gain_of_its_own():
     rival = trial(("stribeck_friction", 1), 85.0)
-    first.trials.append(rival)
-    selected = Selected(
-        fitted(), fitted(B, rival.key), (B, rival.key), [first, second], None, swapped={rival.key: (first, 120.0)}
-    )
-    assert [selected.gain_of(key) for key in selected.keys] == [30.0, 120.0]
+    first, second = trial(A, 90.0), trial(B, 30.0)
+    history = (Stage((first, rival), 8.0, None, first), Stage((second,), 8.0, None, second))
+    chosen = Chosen.of(rival, history, history[0], 120.0)
+    state = state_of(history, second, chosen)
+    assert [chosen.gain for chosen in state.chosen] == [30.0, 120.0]
     # what it was tied with and what was ruled out for it are those of the stage where it was tried
-    assert selected.tried(rival.key) == (first, replace(rival, gain=120.0))
-    assert selected.tried(B) == (second, second.accepted)
+    assert chosen.stage is history[0] and chosen.trial == replace(rival, gain=120.0)
+    assert state.chosen[0].stage is history[1] and state.chosen[0].trial == second
 
 
 @pytest.mark.parametrize("period, refused", [(12.0, False), (13.5, True)])
@@ -183,7 +195,7 @@ def test_a_wave_is_no_longer_than_its_joint_can_go_twice(period, refused):
     ],
 )
 def test_a_noise_is_refused_where_the_joints_speak_against_it(before, after, wanted):
-    assert Selection._moved_away(np.array(before), np.array(after)) is wanted
+    assert noise_refused(np.array(before), np.array(after)) is wanted
 
 
 def test_a_further_name_must_reach_a_share_of_what_the_first_gained_at_its_joint():
@@ -193,29 +205,27 @@ def test_a_further_name_must_reach_a_share_of_what_the_first_gained_at_its_joint
     rows = np.ones((4, 3), dtype=bool)
     rows[3, 1] = False
     model = replace(first.fitted, errors=np.zeros((4, 3)))
-    named = Stage([first], 16.0, replace(fitted(), errors=before), [], None, replace(first, fitted=model))
+    named = Stage((first,), 16.0, replace(fitted(), errors=before), replace(first, fitted=model))
     gains = Selection._gains(SimpleNamespace(predictor=SimpleNamespace(fit_rows=rows)), named)
     # a row that is not fitted says nothing; a joint where little was gained counts for a part
     assert gains == pytest.approx({None: 1000.0, 1: 900.0, 2: 200.0, 3: 200.0})
-    stage = Stage([], 4.0, None, [], None, first=gains)
+    stage = Stage((), 4.0, None, first=gains)
     assert [stage.needed(joint) for joint in (None, 1, 3)] == pytest.approx([15.0, 13.5, 4.0])
     assert [stage.needed_untried(joint) for joint in (None, 1, 3)] == pytest.approx([30.0, 27.0, 25.0])
-    alone = Stage([], 16.0, None, [], None)
+    alone = Stage((), 16.0, None)
     assert alone.needed(1) == 16.0 and alone.needed_untried(None) == 25.0
 
 
-def test_kinds_that_an_effect_contains_are_those_tried_beside_it():
+def test_effects_that_one_contains_are_those_tried_beside_it():
     chosen = trial(("position_dependent_friction", 2), 100.0)
     others = [("coulomb_friction", 2), ("coulomb_friction", 1), ("voltage_dead_band", 2)]
-    trials = [chosen, *(replace(trial(key, 90.0), fitted=fitted()) for key in others)]
-    stage = Stage(trials, 15.0, None, [], None, chosen)
-    chooser = SimpleNamespace(library=KINDS)
-    inner = Tidying._contained(chooser, [stage], chosen.key, (chosen.key,))
-    assert [t.key for t in inner] == [("coulomb_friction", 2)]
+    trials = (chosen, *(replace(trial(key, 90.0), fitted=fitted()) for key in others))
+    state = state_of([Stage(trials, 15.0, None, chosen)], chosen)
+    assert [t.key for t in elimination()._contained(state, chosen.key)] == [("coulomb_friction", 2)]
     # a blow fits any single event: what it contains is chosen elsewhere
     blow = trial(("impulse", 2), 100.0)
-    stage = Stage([blow, replace(trial(("current_limit", 2), 99.0), fitted=fitted())], 15.0, None, [], None, blow)
-    assert Tidying._contained(chooser, [stage], blow.key, (blow.key,)) == []
+    stage = Stage((blow, replace(trial(("current_limit", 2), 99.0), fitted=fitted())), 15.0, None, blow)
+    assert elimination()._contained(state_of([stage], blow), blow.key) == []
 
 
 @pytest.mark.parametrize(
@@ -231,7 +241,7 @@ def test_kinds_that_an_effect_contains_are_those_tried_beside_it():
         ({"position": 1000.0, "coulomb": 1001.0, "asymmetric": 999.5}, (), "coulomb", 103.0),
     ],
 )
-def test_kinds_whose_trials_had_not_come_to_their_end_are_fitted_to_it(ends, impossible, wanted, gain, monkeypatch):
+def test_effects_whose_trials_had_not_come_to_their_end_are_fitted_to_it(ends, impossible, wanted, gain, monkeypatch):
     full = {
         "position": "position_dependent_friction",
         "coulomb": "coulomb_friction",
@@ -239,32 +249,31 @@ def test_kinds_whose_trials_had_not_come_to_their_end_are_fitted_to_it(ends, imp
     }
     values = {"position": "torque=2,amplitude=1", "coulomb": "torque=2", "asymmetric": "positive=2,negative=1"}
 
-    def tried(short, gain, price):
+    def tried(short, gain, occam):
         effect = parse_effect(f"{full[short]}:joint=2,{values[short]}")
         model = Fitted(Point(np.zeros(1), (effect,)), np.zeros((4, 3)), 0.0, ())
-        return replace(trial((full[short], 2), gain, price), fitted=model)
+        return replace(trial((full[short], 2), gain, occam), fitted=model)
 
     position, *others = (tried("position", 100.0, 10.0), tried("coulomb", 20.0, 6.0), tried("asymmetric", 80.0, 8.0))
-    stage = Stage([position, *others], 16.0, None, [], None, position)
+    stage = Stage((position, *others), 16.0, None, position)
     ending = {full[short]: objective for short, objective in ends.items()}
     monkeypatch.setattr(
         PredictionFit,
         "to_end",
         lambda fit, at, pairs: (Fitted(at, np.zeros((4, 3)), ending[at.effects[0].kind.name], ()), None),
     )
-    tidying = Tidying(
-        SimpleNamespace(fit_rows=None, mechanism=None),
-        SimpleNamespace(
-            free=lambda point, keys: (),
-            implausible=lambda effect: effect.kind.name in {full[short] for short in impossible},
-        ),
-        KINDS,
+    trials = SimpleNamespace(
+        predictor=SimpleNamespace(fit_rows=None, mechanism=None),
+        free=lambda point: (),
+        implausible=lambda effect: effect.kind.name in {full[short] for short in impossible},
     )
-    prices, swapped = {position.key: position.price}, {}
-    point, keys = tidying.simplified(position.fitted.point, (position.key,), None, [stage], prices, swapped)
-    assert keys == ((full[wanted], 2),) and point.effects[0].kind.name == full[wanted]
-    selected = Selected(fitted(), fitted(*keys), keys, [stage], None, swapped=swapped)
-    assert selected.gain_of(keys[0]) == pytest.approx(gain) and keys[0] in prices
+    before = replace(state_of([stage], position), model=position.fitted)
+    after = elimination(trials).simplify(before)
+    assert after.keys == ((full[wanted], 2),) and after.model.point.effects[0].kind.name == full[wanted]
+    assert after.chosen[0].gain == pytest.approx(gain)
+    assert after.chosen[0].occam == next(t.occam for t in stage.trials if t.name == full[wanted])
+    # the state before stays as it was
+    assert before.keys == (position.key,) and before.model is position.fitted
 
 
 @pytest.mark.parametrize(
@@ -301,7 +310,7 @@ def test_what_more_of_makes_less_of_an_effect_is_not_too_much():
 def offset(gain, angle, problem):
     effect = parse_effect(f"encoder_offset:joint=2,angle={angle}")
     model = Fitted(Point(np.zeros(1), (effect,)), np.zeros((4, 2)), 0.0, ())
-    return Trial("encoder_offset", 2, gain, 5.0, model, 3.0, problem)
+    return Trial(scored(("encoder_offset", 2)), gain, 5.0, model, 3.0, problem)
 
 
 @pytest.mark.parametrize(
@@ -315,7 +324,7 @@ def offset(gain, angle, problem):
     ],
 )  # not above the threshold by enough
 def test_a_zero_that_no_sensor_has_is_a_fault_of_the_data(gain, rival, problem, found):
-    stage = Stage([offset(gain, 0.9, problem), trial(A, rival)], 15.0, None, [], None)
+    stage = Stage((offset(gain, 0.9, problem), trial(A, rival)), 15.0, None)
     faults = wrong_zeros([stage])
     assert [(f.channel, f.row) for f in faults] == ([("position2", None)] if found else [])
     assert all("offset by about 0.9 rad" in f.what for f in faults)

@@ -14,11 +14,12 @@ from loop_logs import pieces, record
 
 from puma_sim_core.effects import KINDS, Effect, parse_effect
 from puma_sim_core.identify import explain
-from puma_sim_core.identify.fitting.prediction import _FARTHEST, Point, PredictionFit, _bounded_step
-from puma_sim_core.identify.fitting.refits import Refits
-from puma_sim_core.identify.fitting.trials import Trials
+from puma_sim_core.identify.fitting.prediction import Point, PredictionFit, _bounded_step
+from puma_sim_core.identify.fitting.trials import Base, Trials
 from puma_sim_core.identify.screening.evidence import Scored
-from puma_sim_core.identify.selection.selected import Stage
+from puma_sim_core.identify.selection.refits import Refits
+from puma_sim_core.identify.selection.state import SelectionState, Stage
+from puma_sim_core.identify.settings import FITTING
 from puma_sim_core.plant.mechanism import load_mechanism
 
 pytestmark = pytest.mark.long
@@ -46,7 +47,7 @@ HIGHEST = float(record(PENDULUM, PENDULUM.plant()).position.max())
 def test_a_fit_comes_to_the_place(text, off):
     true = parse_effect(text)
     log = record(PENDULUM, PENDULUM.plant(effects=(true,)), volts=NOISE, noise=1e-5)
-    problem, _, predictor = pieces(PENDULUM, log, NOISE, 1e-5)
+    _, _, predictor = pieces(PENDULUM, log, NOISE, 1e-5)
     weighting = predictor.white_weighting(predictor.errors(PENDULUM.plant(effects=(true,))))
     fit = PredictionFit(predictor, weighting)
     start = Effect(true.kind, 1, {name: value + off.get(name, 0.0) for name, value in true.values.items()})
@@ -66,7 +67,7 @@ def test_a_fit_comes_back_from_where_parameters_took_the_place_of_an_effect():
     far = Point(PENDULUM.clip(PENDULUM.start + 3.0 * PENDULUM.deviations), true.effects)
     pairs = ((0, "torque"),)
     known = fit.white(fit.derivatives(true, pairs))
-    stopped = fit.run(far, (), known=known, known_free=pairs, rounds=0)
+    stopped = fit.run(far, (), jacobian=known, frozen=pairs, rounds=0)
     back = fit.from_start(stopped, known)
     assert back.objective < stopped.objective
     assert back.objective <= fit.objective(fit.errors(true), true)
@@ -124,8 +125,8 @@ def test_a_bounded_step_is_the_least_that_its_bounds_allow(seed):
     A = rng.standard_normal((8, 5))
     normal, gradient = A.T @ A, 20.0 * rng.standard_normal(5)
     step = _bounded_step(normal, gradient, 2)
-    held = np.abs(step) == _FARTHEST
-    assert held[2:].any() and not held[:2].any() and np.all(np.abs(step[2:]) <= _FARTHEST)
+    held = np.abs(step) == FITTING.greatest_step
+    assert held[2:].any() and not held[:2].any() and np.all(np.abs(step[2:]) <= FITTING.greatest_step)
     # nothing is gained by moving what is not held
     assert np.abs((normal @ step + gradient)[~held]).max() < 1e-9 * np.abs(gradient).max()
 
@@ -134,74 +135,75 @@ def fit_of(mechanism, effect, seconds=1.0):
     """A fit to a log of a plant with an effect, and its innovations."""
     plant = mechanism.plant(effects=(effect,))
     log = record(mechanism, plant, volts=NOISE, noise=1e-5, seconds=seconds)
-    problem, _, predictor = pieces(mechanism, log, NOISE, 1e-5)
+    _, _, predictor = pieces(mechanism, log, NOISE, 1e-5)
     raw = predictor.errors(plant)
     return PredictionFit(predictor, predictor.white_weighting(raw)), raw
 
 
 def lacking(effect):
-    """The fit of a log of a pendulum with an effect, the fitted model without it, the derivatives
-    by its parameters, and the trials."""
+    """The fitted model without an effect of a log of a pendulum with it, the trials, and the state of the selection."""
     plant = PENDULUM.plant(effects=(effect,))
     log = record(PENDULUM, plant, volts=NOISE, noise=1e-5)
     problem, _, predictor = pieces(PENDULUM, log, NOISE, 1e-5)
     fit = PredictionFit(predictor, predictor.white_weighting(predictor.errors(plant)))
     base = fit.run(Point(PENDULUM.start, ()), (), rounds=8)
-    return fit, base, fit.white(fit.derivatives(base.point, ())), Trials(predictor, problem)
+    raw = fit.derivatives(base.point, ())
+    state = SelectionState(base, raw, fit.weighting)
+    return Base(fit, base, fit.white(raw)), Trials(predictor, problem), state
 
 
 def limited():
-    """The fit of a log of a pendulum whose voltage has a limit, the fitted model without it, the
-    derivatives by its parameters, the trials, what a screening says of the limit, and a function of
-    a limit [V] and parameters -> the trial from there."""
+    """The fitted model of a log of a pendulum whose voltage has a limit, without it; the trials, the state of the
+    selection, and a function of a limit [V] and parameters -> the trial from there."""
     limit = parse_effect("voltage_saturation:joint=1,voltage=4.2")
-    fit, base, known, trials = lacking(limit)
+    base, trials, state = lacking(limit)
     scored = Scored("voltage_saturation", 1, 0.0, 0.0, None, None, None, {"voltage": 4.2}, price=3.0)
 
     def tried(value, theta):
-        return trials.run(fit, base, known, (), scored, Point(theta, (Effect(limit.kind, 1, {"voltage": value}),)))
+        return trials.run(base, scored, Point(theta, (Effect(limit.kind, 1, {"voltage": value}),)))
 
-    return fit, base, known, trials, scored, tried
+    return base, trials, state, tried
 
 
 def test_a_limit_is_fitted_on_from_where_it_was_found_in_the_stage_before():
-    fit, base, known, trials, scored, tried = limited()
-    then, now = tried(4.2, PENDULUM.start), tried(6.0, base.point.theta)
+    base, trials, state, tried = limited()
+    then, now = tried(4.2, PENDULUM.start), tried(6.0, base.model.point.theta)
     assert then.gain > 100.0 > 0.0 > now.gain
     refits = Refits(trials, KINDS)
 
     def resumed(accepted, stages=1):
-        stage = Stage([then], 16.0, None, [], None, accepted)
-        return refits.resumed(fit, base, known, (), [scored], [now], [stage] * stages)[0]
+        history = (Stage((then,), 16.0, base.model, accepted),) * stages
+        return refits.from_previous(replace(state, trials=(now,), history=history)).trials[0]
 
-    elsewhere = replace(then, joint=None)
+    elsewhere = replace(then, scored=replace(then.scored, joint=None))
     assert resumed(elsewhere).gain > then.gain - 1.0
     # there another explanation was better, and now there is less to explain
     assert resumed(then) is now
     assert resumed(elsewhere, stages=0) is now
 
 
-def test_a_trial_by_itself_is_fitted_to_its_end_where_rows_kept_back_speak_against_it():
-    fit, base, known, trials, scored, tried = limited()
-    rough = replace(tried(4.5, base.point.theta), held_gain=10.0)
-    assert trials.polished(fit, base, None, (), [scored], [rough]) == [rough]
-    (polished,) = trials.polished(fit, base, None, (), [scored], [replace(rough, held_gain=-1.0)])
+def test_a_trial_by_itself_is_fitted_to_its_end_where_the_validation_set_speaks_against_it():
+    base, trials, state, tried = limited()
+    refits = Refits(trials, KINDS)
+    rough = replace(tried(4.5, base.model.point.theta), validation_gain=10.0)
+    assert refits.polished(replace(state, trials=(rough,))).trials == (rough,)
+    (polished,) = refits.polished(replace(state, trials=(replace(rough, validation_gain=-1.0),))).trials
     assert polished.gain > rough.gain
 
 
 def test_a_bump_that_came_out_as_nothing_is_tried_again_as_machines_have_it():
     true = parse_effect("stribeck_friction:joint=1,torque=0.03,velocity=0.08,sliding=0.03")
-    fit, base, known, trials = lacking(true)
+    base, trials, state = lacking(true)
     refits = Refits(trials, KINDS)
 
     def tried(text):
         effect = parse_effect(text)
         scored = Scored(effect.kind.name, 1, 0.0, 0.0, None, None, None, dict(effect.values))
         start = Point(PENDULUM.start, (effect,))
-        return scored, trials.run(fit, base, known, (), scored, start)
+        return trials.run(base, scored, start)
 
-    level, plain = tried("coulomb_friction:joint=1,torque=0.04")
-    bump, good = tried("stribeck_friction:joint=1,torque=0.03,velocity=0.08,sliding=0.03")
+    plain = tried("coulomb_friction:joint=1,torque=0.04")
+    good = tried("stribeck_friction:joint=1,torque=0.03,velocity=0.08,sliding=0.03")
     nothing = Effect(
         true.kind,
         1,
@@ -212,7 +214,7 @@ def test_a_bump_that_came_out_as_nothing_is_tried_again_as_machines_have_it():
     )
 
     def revived(trial):
-        return refits.revived(fit, base, None, (), [level, bump], [plain, trial])
+        return refits.from_usual(replace(state, trials=(plain, trial))).trials
 
     assert good.gain > plain.gain + 10.0
     assert revived(stuck)[1].gain > good.gain - 1.0 and revived(stuck)[0] is plain
@@ -221,29 +223,29 @@ def test_a_bump_that_came_out_as_nothing_is_tried_again_as_machines_have_it():
 
 
 @pytest.mark.parametrize("stiffness, damping", [(5e5, 150.0), (4e6, 20.0), (6e4, 900.0)])
-def test_a_fit_is_told_the_slopes_of_the_priors_that_its_objective_has(stiffness, damping):
+def test_a_fit_takes_the_slopes_of_the_priors_that_its_objective_has(stiffness, damping):
     arm = load_mechanism()
     effect = parse_effect(f"backlash:joint=2,gap=1e-3,stiffness={stiffness},damping={damping}")
     fit, errors = fit_of(arm, effect)
     names = ("gap", "stiffness", "damping")
-    slopes, told = fit.prior(Point(arm.start, (effect,)), [(0, name) for name in names])
+    slopes, precision = fit.prior(Point(arm.start, (effect,)), [(0, name) for name in names])
 
     def objective(name, share):
         moved = {**effect.values, name: effect.values[name] * np.exp(share)}
         return fit.objective(0.0 * errors, Point(arm.start, (Effect(effect.kind, 2, moved),)))
 
-    for name, slope, curvature in zip(names, slopes, told):
+    for name, slope, curvature in zip(names, slopes, precision):
         before, here, after = (objective(name, share) for share in (-1e-3, 0.0, 1e-3))
         assert slope == pytest.approx((after - before) / 2e-3, abs=1e-6)
         assert curvature == pytest.approx((after + before - 2.0 * here) / 1e-6, abs=1e-3)
-    assert told[0] < 1e-3 < 1.0 < min(told[1:])
+    assert precision[0] < 1e-3 < 1.0 < min(precision[1:])
 
 
 def test_of_the_sizes_of_other_mechanisms_nothing_is_known_beforehand():
     effect = parse_effect("backlash:joint=1,gap=0.01,stiffness=1e4,damping=3")
     fit, _ = fit_of(PENDULUM, effect)
-    slopes, told = fit.prior(Point(PENDULUM.start, (effect,)), [(0, "gap"), (0, "stiffness")])
-    assert not slopes.any() and told.max() < 1e-3
+    slopes, precision = fit.prior(Point(PENDULUM.start, (effect,)), [(0, "gap"), (0, "stiffness")])
+    assert not slopes.any() and precision.max() < 1e-3
 
 
 def test_a_step_to_a_model_is_the_one_that_leads_there():

@@ -20,7 +20,7 @@ from puma_sim_core.simulation.simulator import Simulator
 
 @pytest.mark.parametrize("cores", [1, 2, 5])
 def test_results_keep_the_order_of_the_items(monkeypatch, cores):
-    monkeypatch.setattr(parallel, "_CORES", cores)
+    monkeypatch.setattr(parallel, "CORES", cores)
     barrier = threading.Barrier(cores)
 
     def square(k):
@@ -28,15 +28,15 @@ def test_results_keep_the_order_of_the_items(monkeypatch, cores):
             barrier.wait(timeout=10.0)  # as many at a time as there are cores
         return k * k
 
-    assert parallel.each(square, iter(range(17))) == [k * k for k in range(17)]
-    assert parallel.each(square, ()) == []
+    assert parallel.parallel_map(square, iter(range(17))) == [k * k for k in range(17)]
+    assert parallel.parallel_map(square, ()) == []
 
 
 @pytest.mark.parametrize("cores", [1, 3])
 def test_the_first_error_is_raised(monkeypatch, cores):
-    monkeypatch.setattr(parallel, "_CORES", cores)
+    monkeypatch.setattr(parallel, "CORES", cores)
     with pytest.raises(KeyError, match="2"):
-        parallel.each({0: 0, 1: 1}.__getitem__, (0, 1, 2, 3))
+        parallel.parallel_map({0: 0, 1: 1}.__getitem__, (0, 1, 2, 3))
 
 
 def test_derivatives_have_the_same_bits_on_any_number_of_cores(monkeypatch):
@@ -50,7 +50,7 @@ def test_derivatives_have_the_same_bits_on_any_number_of_cores(monkeypatch):
     log = Log("own", time, volts, simulator.run(time, volts).position)
     found = []
     for cores in (1, 4):
-        monkeypatch.setattr(parallel, "_CORES", cores)
+        monkeypatch.setattr(parallel, "CORES", cores)
         predictor = Predictor([log], arm, [lambda t: t > 1e9], np.full(3, 0.05), np.full(3, 3e-5))
         fit = PredictionFit(predictor, predictor.white_weighting(predictor.errors(plant)))
         found.append(fit.derivatives(Point(arm.start * 1.01, plant.effects[-1:]), [(0, "torque"), (0, "stiffness")]))

@@ -15,7 +15,8 @@ from puma_sim_core.identify.data.ingest import Log
 from puma_sim_core.identify.data.sampling import sample
 from puma_sim_core.identify.fitting.predictor import _settled, stable_step
 from puma_sim_core.identify.screening.problem import Problem
-from puma_sim_core.identify.selection.validate import FAR_OFF, position_floor, rms
+from puma_sim_core.identify.selection.validate import position_floor, rms
+from puma_sim_core.identify.settings import SELECTION
 from puma_sim_core.plant.mechanism import load_mechanism
 from puma_sim_core.simulation.simulator import Simulator
 
@@ -38,7 +39,7 @@ def test_windows_cover_their_spans_and_take_turns():
     seen = validation(mechanism, record(mechanism, mechanism.plant()))
     p = seen.predictor
     time = p.stretches[0].time[1:]
-    for key, mask in (("held_out", p.held_rows), ("fit", p.fit_rows)):
+    for key, mask in (("held_out", p.validation_rows), ("fit", p.fit_rows)):
         inside = np.zeros(len(time), dtype=int)
         for turn in seen.turns[key]:
             ends = sorted((rows.start, rows.stop) for _, rows in turn)
@@ -143,7 +144,7 @@ def test_a_state_that_does_not_stay_finite_counts_as_far_off():
     seen.predictor.stretches[0].voltage[2000:] = wild.voltage[
         2000 : 2000 + len(seen.predictor.stretches[0].voltage) - 2000
     ]
-    assert 0.5 * FAR_OFF < rms(seen.window_errors(mechanism.plant(), "fit"))[0] <= FAR_OFF
+    assert 0.5 * SELECTION.not_finite < rms(seen.window_errors(mechanism.plant(), "fit"))[0] <= SELECTION.not_finite
 
 
 @pytest.mark.parametrize("height", [50.0, 6.0])  # more of power than all others, and a peak alone

@@ -106,11 +106,11 @@ def run(options: argparse.Namespace) -> int:
         _write(options.out, head, found.time, "voltage", found.voltage)
         if options.setpoints is not None:
             _write(options.setpoints, head, found.time, "setpoint", found.setpoint)
-    from puma_sim_core.identify.selection.selected import LEAST_GAIN
+    from puma_sim_core.identify.settings import SELECTION
 
-    if found.nats < LEAST_GAIN:
+    if found.nats < SELECTION.least_gain:
         print(
-            f"warning: {found.nats:.2g} nat are less than a name takes ({LEAST_GAIN:g}); give it "
+            f"warning: {found.nats:.2g} nat are less than a name takes ({SELECTION.least_gain:g}); give it "
             "more time, voltage or range",
             file=sys.stderr,
         )

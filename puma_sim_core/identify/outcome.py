@@ -1,48 +1,66 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""The verdict, and what is said of every hypothesis (steps 5 and 9)."""
+"""The verdict, and what is said of every hypothesis."""
 
 from __future__ import annotations
 
-import time as clock
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from puma_sim_core.effects import KINDS
+from puma_sim_core.effects import KINDS, Effect
 from puma_sim_core.effects.relations import EXACT_TIES
 from puma_sim_core.identify.experiment.next_experiment import next_experiment
-from puma_sim_core.identify.fitting.trials import tied
-from puma_sim_core.identify.residuals.shape import describe
+from puma_sim_core.identify.fitting.predictor import Predictor
+from puma_sim_core.identify.fitting.trials import Key, Trial, tied
+from puma_sim_core.identify.prepare import Prepared
+from puma_sim_core.identify.residuals.shape import Curve, describe
+from puma_sim_core.identify.residuals.unnamed import remainder
 from puma_sim_core.identify.result import (
     NAMED,
     NAMED_WITH_REMAINDER,
     NOTHING_MISSING,
     UNNAMED,
+    Detectable,
     Drawn,
+    Errors,
     Explanation,
     Fault,
+    FeedbackBias,
     Hypothesis,
     Interval,
     NamedEffect,
     Ranked,
     RuledOut,
+    Shape,
 )
-from puma_sim_core.identify.selection.selected import LEAST_GAIN
+from puma_sim_core.identify.selection.state import SelectionState, Stage
+from puma_sim_core.identify.settings import RESIDUALS
+from puma_sim_core.plant.mechanism import Mechanism
 
-#: least gain [nat] of a remainder, and its least share of the gain of the first effect
-_REMAINDER, _REMAINDER_SHARE = 20.0, 0.003
-#: a residual of so many times its floor is no mere inexactness of what was named
-_LEFT = 1.5
-#: what a remainder's gain must exceed the placebos' greatest by
-_FACTOR, _MARGIN = 1.3, 3.0
-#: what a free curve may leave of a joint's squared innovations, in terms of what the names leave,
-#: to be preferred: where they leave a remainder, as of measured logs, which neither explains to the
-#: end, and where they leave none
-_CLEARLY_LESS, _LESS_THAN_ALL = 0.9, 0.985
-#: deviations of its prior from which on a parameter counts as strained
-_STRAINED = 4.0
-#: lags of the whiteness plot [s]
-_LAGS = 0.5
+
+@dataclass(frozen=True)
+class Findings:
+    """What the stages found, for the explanation.
+
+    state : the selection as it ended; curves, chance : free curves, best first, and what chance gives any of them;
+    errors, residuals : tables of errors by their rows, and (N, J) voltages [V] that the "nominal", "retuned" and
+    "augmented" model lack; intervals : (effect number, parameter) -> (value, low, high); source : how `explain` was
+    called.
+    """
+
+    prepared: Prepared
+    state: SelectionState
+    curves: list[Curve]
+    chance: float
+    errors: dict[str, Errors]
+    residuals: dict[str, np.ndarray]
+    detectability: tuple[Detectable, ...]
+    bias: FeedbackBias
+    intervals: Mapping[tuple[int, str], tuple[float, float, float]]
+    source: Mapping[str, str | None]
 
 
 def fault_sentence(faults: list[Fault]) -> str:
@@ -53,70 +71,63 @@ def fault_sentence(faults: list[Fault]) -> str:
     return f"The data cannot be used: {first.channel}{row}: {first.what}{more}."
 
 
-def compose(
-    analysis, errors, residuals, shapes, chance, detect, bias, spread, model, notes, begin, common
-) -> Explanation:
-    """The explanation from all stages."""
-    s = analysis.selected
-    names = _named(analysis, spread)
-    volts = errors["fit"].voltage_rms
-    unnamed = remainder(s, shapes, chance, np.asarray(volts.augmented) / volts.floor)
+def compose(found: Findings, notes: Sequence[str], common: Mapping[str, Any]) -> Explanation:
+    """The explanation from all stages. common : what every explanation has, by its fields."""
+    s, m = found.state, found.prepared.problem.mechanism
+    names = _named(found)
+    volts = found.errors["fit"].voltage_rms
+    unnamed = remainder(s, found.curves, found.chance, np.asarray(volts.augmented) / volts.floor)
+    curve = None
     if unnamed is None:
         verdict = NAMED if names else NOTHING_MISSING
     else:
         verdict = NAMED_WITH_REMAINDER if names else UNNAMED
-    curve = None
-    if unnamed is not None:
-        ranking = tuple((_axis_name(c), float(c.scored.gain)) for c in shapes[:8])
-        curve = describe(unnamed, ranking)
-    m = analysis.mechanism
+        best = found.curves[: RESIDUALS.ranked_curves]
+        curve = describe(unnamed, tuple((_axis_name(c), float(c.scored.gain)) for c in best))
     ties = [(Hypothesis(e.name, e.joint), other) for e in names for other in e.tied_with]
-    found = {(e.name, e.joint) for e in names}
-    unseen = [d for d in detect if not d.excited and (d.name, d.joint) not in found]
+    keys = {(e.name, e.joint) for e in names}
+    unseen = [d for d in found.detectability if not d.excited and (d.name, d.joint) not in keys]
     return Explanation(
         verdict,
-        _sentence(verdict, names, curve, errors, m),
+        _sentence(verdict, names, curve, found.errors),
         names,
-        errors,
+        found.errors,
         curve,
         (),
-        tuple(detect),
-        next_experiment(m, ties, unseen, common["logs"][0], **analysis.source),
-        bias,
+        found.detectability,
+        next_experiment(m, ties, unseen, common["logs"][0], **found.source),
+        found.bias,
         _ranking(s, names),
         (*notes, *_exact_ties(names), *_strained(m, s)),
-        _drawn(analysis, residuals),
-        model,
+        _drawn(found),
+        m.plant(s.model.point.theta, s.model.point.effects),
         parameters=_parameters(m, s),
-        seconds=clock.perf_counter() - begin,
         **common,
     )
 
 
-def _named(analysis, spread) -> tuple[NamedEffect, ...]:
-    s = analysis.selected
-    named = []
-    for number, key in enumerate(s.keys):
-        effect = s.final.point.effects[number]
-        units = {p.name: analysis.mechanism.unit(p.unit) for p in effect.kind.parameters}
+def _named(found: Findings) -> tuple[NamedEffect, ...]:
+    s, named = found.state, []
+    for number, (key, chosen) in enumerate(zip(s.keys, s.chosen)):
+        effect = s.model.point.effects[number]
+        units = {p.name: found.prepared.problem.mechanism.unit(p.unit) for p in effect.kind.parameters}
         parameters = {}
         for name, value in effect.values.items():
-            if (number, name) in spread:
-                value, low, high = spread[number, name]
+            if (number, name) in found.intervals:
+                value, low, high = found.intervals[number, name]
                 parameters[name] = Interval(float(value), float(low), float(high), units[name])
             elif np.isfinite(value) and _asked(effect, name):
                 parameters[name] = Interval(float(value), float(value), float(value), units[name])
-        stage, own = s.tried(key)
-        ties, out = [], []
-        for t in stage.trials:
+        own, ties, out = chosen.trial, [], []
+        for t in chosen.stage.trials:
             if t.key == key or t.key in s.keys:
                 continue
             if t.problem is None and tied(own, t):
                 ties.append(Hypothesis(t.name, t.joint))
             else:
                 out.append(RuledOut(t.name, t.joint, _because(key[0], t, own)))
-        seen = {(t.name, t.joint) for t in stage.trials}
-        for other, text, _ in effect.kind.look_alikes:
+        seen = {(t.name, t.joint) for t in chosen.stage.trials}
+        for other, text, _ in KINDS[key[0]].look_alikes:
             joint = key[1] if other in KINDS and KINDS[other].per_joint else None
             if other in KINDS and (other, joint) not in seen and (other, joint) not in s.keys:
                 out.append(RuledOut(other, joint, f"the screening gave it no evidence; {text}"))
@@ -124,13 +135,13 @@ def _named(analysis, spread) -> tuple[NamedEffect, ...]:
     return tuple(named)
 
 
-def _asked(effect, name) -> bool:
+def _asked(effect: Effect, name: str) -> bool:
     """Whether a parameter that is not fitted says something: not a default of the structure."""
     spec = next(p for p in effect.kind.parameters if p.name == name)
     return spec.from_arm is None and name != "motor_share"
 
 
-def _because(named: str, trial, best) -> str:
+def _because(named: str, trial: Trial, best: Trial) -> str:
     if trial.problem is not None:
         return trial.problem
     text = KINDS[named].told_from(trial.name)
@@ -138,37 +149,14 @@ def _because(named: str, trial, best) -> str:
     return f"{lower}: {text}" if text else lower
 
 
-def no_name_stands(curve: float, names: float, price: float, remains: bool) -> bool:
-    """Whether a free curve about the model without names is to be preferred to the names.
-
-    curve, names : sums of squares of the white innovations of its joint that they leave; price
-    [nat] of the curve's heights; remains : whether something remains after the names.
-    """
-    if remains:
-        return curve < _CLEARLY_LESS * names
-    # names that explain all leave but noise, of which no curve leaves less
-    return curve < _LESS_THAN_ALL * names and 0.5 * (names - curve) - price > LEAST_GAIN
-
-
-def remainder(s, shapes, chance, left):
-    """The best free curve about what was chosen, where it is more than chance and more than
-    inexactness; else None."""
-    if not shapes:
-        return None
-    first = max((s.gain_of(key) for key in s.keys), default=0.0)
-    inexact = left[shapes[0].scored.joint - 1] < _LEFT
-    need = max(_REMAINDER, _FACTOR * chance + _MARGIN, _REMAINDER_SHARE * first * inexact)
-    return shapes[0] if shapes[0].scored.gain > need else None
-
-
-def _axis_name(curve) -> str:
+def _axis_name(curve: Curve) -> str:
     return f"{curve.scored.name} (joint {curve.scored.joint}) {curve.way}".rstrip()
 
 
-def _sentence(verdict, names, curve, errors, mechanism) -> str:
+def _sentence(verdict: str, names: tuple[NamedEffect, ...], curve: Shape | None, errors: Mapping[str, Errors]) -> str:
     held = errors["held_out"].voltage_rms
 
-    def change(joint):
+    def change(joint: int | None) -> str:
         js = range(len(held.retuned)) if joint is None else [joint - 1]
         before = np.sqrt(np.mean([held.retuned[j] ** 2 for j in js]))
         after = np.sqrt(np.mean([held.augmented[j] ** 2 for j in js]))
@@ -179,7 +167,7 @@ def _sentence(verdict, names, curve, errors, mechanism) -> str:
             "Nothing is missing that this log could show: with retuned parameters the model "
             "explains it down to its noise."
         )
-    if verdict == UNNAMED:
+    if verdict == UNNAMED and curve is not None:
         what = (
             f"a line at {curve.line_hz:.2f} Hz"
             if curve.line_hz is not None
@@ -194,24 +182,24 @@ def _sentence(verdict, names, curve, errors, mechanism) -> str:
         )
         parts.append(f"{e.name} on {where} ({size}; the error on held-out rows falls from {change(e.joint)})")
     text = f"The model lacks {' and '.join(parts)}"
-    if verdict == NAMED_WITH_REMAINDER:
+    if verdict == NAMED_WITH_REMAINDER and curve is not None:
         text += f"; beside that something over {curve.axis} of joint {curve.joint} is left that has no name"
     return text + "."
 
 
-def _ranking(s, names) -> tuple[Ranked, ...]:
+def _ranking(s: SelectionState, names: tuple[NamedEffect, ...]) -> tuple[Ranked, ...]:
     chosen = {(e.name, e.joint): e for e in names}
-    rows = {}
-    for stage in s.stages[:1]:
-        for t in stage.trials:
-            verdict = "named" if t.key in chosen else _refused(s, stage, t)
-            rows[t.key] = Ranked(t.name, t.joint, float(t.gain), verdict)
+    rows: dict[Key, Ranked] = {}
+    stage = s.history[0]
+    for t in stage.trials:
+        verdict = "named" if t.key in chosen else _refused(s, stage, t)
+        rows[t.key] = Ranked(t.name, t.joint, float(t.gain), verdict)
     for e in names:
         rows.setdefault((e.name, e.joint), Ranked(e.name, e.joint, float(e.evidence), "named"))
     return tuple(sorted(rows.values(), key=lambda r: -r.evidence))
 
 
-def _refused(s, stage, t) -> str:
+def _refused(s: SelectionState, stage: Stage, t: Trial) -> str:
     """Why a trial of a stage was given no name."""
     best = stage.accepted
     if t.problem is not None:
@@ -222,14 +210,14 @@ def _refused(s, stage, t) -> str:
         return "tied"
     if t.gain <= stage.needed(t.joint):
         return f"below the threshold of {stage.needed(t.joint):.0f} nat"
-    if t.held_gain <= 0.0:
+    if t.validation_gain <= 0.0:
         return "it does not lower the error on the rows kept back"
     if best is not None:
         return f"lower than {best.name} by {best.gain - t.gain:.0f} nat"
     return "too little of it acts where rows were kept back"
 
 
-def _exact_ties(names) -> list[str]:
+def _exact_ties(names: tuple[NamedEffect, ...]) -> list[str]:
     found = {e.name for e in names}
     return [
         f"{one} and {other} are the same in a log of voltage and position: {why}."
@@ -238,14 +226,15 @@ def _exact_ties(names) -> list[str]:
     ]
 
 
-def _strained(m, s) -> list[str]:
+def _strained(m: Mechanism, s: SelectionState) -> list[str]:
     """A note on parameters that went farther than their priors allow, where there are any."""
-    far = (s.final.point.theta - m.start) / m.deviations
-    found = [(abs(x), p.name, x) for p, x in zip(m.free, far) if abs(x) > _STRAINED]
+    far = (s.model.point.theta - m.start) / m.deviations
+    found = [(abs(x), p.name, x) for p, x in zip(m.free, far) if abs(x) > RESIDUALS.strained]
     if not found:
         return []
-    words = ", ".join(f"{name} by {x:+.1f}" for _, name, x in sorted(found, reverse=True)[:4])
-    more = f" and {len(found) - 4} more" if len(found) > 4 else ""
+    words = ", ".join(f"{name} by {x:+.1f}" for _, name, x in sorted(found, reverse=True)[: RESIDUALS.listed])
+    left = len(found) - RESIDUALS.listed
+    more = f" and {left} more" if left > 0 else ""
     return [
         f"Parameters are farther from their start than their priors allow ({words}{more} "
         "standard deviations): the start values are of another machine, or parameters have "
@@ -253,17 +242,17 @@ def _strained(m, s) -> list[str]:
     ]
 
 
-def _parameters(m, s) -> dict:
-    theta = s.final.point.theta
+def _parameters(m: Mechanism, s: SelectionState) -> dict[str, tuple[float, float, str, float]]:
+    theta = s.model.point.theta
     return {p.name: (float(p.value), float(value), p.unit, float(p.deviation)) for p, value in zip(m.free, theta)}
 
 
-def _drawn(analysis, residuals) -> Drawn:
-    p = analysis.problem
-    s, theta = p.sampled, analysis.selected.final.point.theta
-    signals = p.signals(theta)
-    rows = np.concatenate([stretch.time[1:] for stretch in analysis.predictor.stretches])
-    log = np.concatenate([np.full(len(stretch.time) - 1, n) for n, stretch in enumerate(analysis.predictor.stretches)])
+def _drawn(found: Findings) -> Drawn:
+    p, stretches = found.prepared.problem, found.prepared.predictor.stretches
+    s = p.sampled
+    signals = p.signals(found.state.model.point.theta)
+    rows = np.concatenate([stretch.time[1:] for stretch in stretches])
+    log = np.concatenate([np.full(len(stretch.time) - 1, n) for n, stretch in enumerate(stretches)])
     kept, nearest, start, offsets = p.kept, np.empty(len(p.kept), dtype=int), 0.0, []
     for number, part in enumerate(p.stretches):
         own = np.flatnonzero(log == number)
@@ -285,29 +274,30 @@ def _drawn(analysis, residuals) -> Drawn:
     }
     return Drawn(
         np.concatenate(offsets),
-        *(residuals[name][nearest] for name in ("nominal", "retuned", "augmented")),
+        found.residuals["nominal"][nearest],
+        found.residuals["retuned"][nearest],
+        found.residuals["augmented"][nearest],
         {name: a[kept] for name, a in series.items()},
         p.held.astype(float),
-        _whiteness(analysis),
+        _whiteness(found.state.model.errors, found.prepared.predictor),
     )
 
 
-def _whiteness(analysis) -> dict:
-    """Autocorrelation of the final innovations of each joint (1-based)."""
-    errors, rows = analysis.selected.final.errors, analysis.predictor.fit_rows
-    step = analysis.predictor.step
-    block = max(1, int(0.01 / step))
+def _whiteness(errors: np.ndarray, predictor: Predictor) -> dict[int, tuple[np.ndarray, np.ndarray, float]]:
+    """Autocorrelation of innovations (N, J) of each joint (1-based): lags [s], values, and their 95 % bound."""
+    rows, step = predictor.fit_rows, predictor.step
+    block = max(1, int(RESIDUALS.lag_block / step))
     out = {}
     for j in range(errors.shape[1]):
         e = np.where(rows[:, j], errors[:, j], 0.0)
         n = len(e) // block
-        if n < 20:
+        if n < RESIDUALS.least_lag_blocks:
             continue
         e = e[: n * block].reshape(n, block).sum(axis=1)
-        most = min(int(_LAGS / (step * block)), n // 3)
+        most = min(int(RESIDUALS.lags / (step * block)), n // 3)
         power = float(e @ e)
         if not power > 0.0:
             continue
         acf = np.array([float(e[k:] @ e[: n - k]) / power for k in range(1, most + 1)])
-        out[j + 1] = (np.arange(1, most + 1) * step * block, acf, 1.96 / np.sqrt(n))
+        out[j + 1] = (np.arange(1, most + 1) * step * block, acf, RESIDUALS.normal_quantile / np.sqrt(n))
     return out

@@ -7,17 +7,21 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
 
 from puma_sim_core.jit import BACKEND
 
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
 #: plain Python runs one thread at a time
-_CORES = (os.cpu_count() or 1) if BACKEND == "numba" else 1
+CORES = (os.cpu_count() or 1) if BACKEND == "numba" else 1
 
 
-def each(function: Callable, items: Iterable) -> list:
+def parallel_map(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
     """The function of each item, in the order of the items; the first error is raised."""
     items = list(items)
-    if _CORES == 1 or len(items) < 2:
+    if CORES == 1 or len(items) < 2:
         return [function(item) for item in items]
-    with ThreadPoolExecutor(min(_CORES, len(items))) as executor:
+    with ThreadPoolExecutor(min(CORES, len(items))) as executor:
         return list(executor.map(function, items))

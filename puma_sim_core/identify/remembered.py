@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""The last few results of what takes long."""
+"""A cache of arrays: the least recently used goes first."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 
 class Remembered:
-    """Arrays by key, the last `most` that were asked for; any thread may ask."""
+    """Cached arrays by key, the last `most` that were asked for; safe for threads."""
 
     def __init__(self, most: int):
         self._most = most
@@ -20,7 +20,7 @@ class Remembered:
         self._lock = Lock()
 
     def __call__(self, key: Hashable, make: Callable[[], np.ndarray]) -> np.ndarray:
-        """The array of a key, made if it is not kept; it cannot be written to."""
+        """The array of a key, made if it is not cached; read-only."""
         with self._lock:
             if key in self._kept:
                 self._kept.move_to_end(key)

@@ -201,7 +201,7 @@ class Explanation:
     logs: tuple[str, ...] = ()
     held_out_logs: tuple[str, ...] = ()
     #: name -> start, retuned, unit and, where known, the width (standard deviation) of the prior
-    parameters: dict[str, tuple] = field(default_factory=dict)
+    parameters: dict[str, tuple[float, float, str, float]] = field(default_factory=dict)
     seconds: float = 0.0
     version: str = ""
     seed: int = 0

@@ -15,15 +15,11 @@ import numpy as np
 from puma_sim_core.effects import KINDS, VISCOUS, Effect
 from puma_sim_core.errors import PumaSimError
 from puma_sim_core.identify.data.ingest import read_log
-from puma_sim_core.identify.data.sampling import sample
-from puma_sim_core.identify.explain import _held, _row_noise
 from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
-from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.fitting.trials import Trials
 from puma_sim_core.identify.noise import colour
-from puma_sim_core.identify.screening.problem import Problem
-from puma_sim_core.identify.screening.search import Search
-from puma_sim_core.identify.selection.held_out import HeldOut, Model
+from puma_sim_core.identify.prepare import prepare
+from puma_sim_core.identify.selection.cross_validation import CrossValidation, WeightedModel
 from puma_sim_core.plant.mechanism import load_mechanism
 from puma_sim_core.plant.plant import Plant
 
@@ -31,27 +27,15 @@ _ROUNDS = 4
 
 
 class Bench:
-    """One record with everything to fit models to it and to measure them on what is kept back."""
+    """One record with everything to fit models to it and to measure them on the validation set."""
 
     def __init__(self, path):
         self.mechanism = m = load_mechanism()
         log = read_log(str(path), None, m.joints)
-        self.problem = Problem(sample([log]), m)
-        self.library = {name: kind for name, kind in KINDS.items() if kind.screening is not None and m.possible(name)}
-        self.search = Search(self.problem, self.library)
-        self.retuned = self.search.retune(m.start)
-        alike = self.problem.like(self.retuned.residual())
-        if alike is not self.problem:
-            self.problem, self.search = alike, Search(alike, self.library)
-            self.retuned = self.search.retune(self.retuned.theta)
-        self.predictor = Predictor(
-            [log],
-            m,
-            [_held(self.problem, 0)],
-            _row_noise(self.search, self.retuned),
-            self.problem.sampled.position_noise,
-        )
-        self.held_out = HeldOut.of(self.problem, self.predictor, lambda of: [_held(of, 0)])
+        prepared = prepare([log], (), m)
+        self.problem, self.library, self.search = prepared.problem, prepared.library, prepared.search
+        self.retuned, self.predictor = prepared.retuned, prepared.predictor
+        self.folds = CrossValidation.of(self.problem, self.predictor, prepared.validation)
 
     def true_structure(self, answer: dict) -> dict[str, list[float] | None]:
         """(J,) position errors [rad] of the true structure, as a report gives them ("held_out"), and
@@ -65,14 +49,11 @@ class Bench:
             raw = predictor.errors(m.plant(point.theta, effects))
             weighting = predictor.white_weighting(raw)
             for _ in range(2):
-                fitted = PredictionFit(predictor, weighting).run(point, trials.free(point, ()), rounds=_ROUNDS)
+                fitted = PredictionFit(predictor, weighting).run(point, trials.free(point), rounds=_ROUNDS)
                 point = fitted.point
-                model = Model(fitted, weighting)
+                model = WeightedModel(fitted, weighting)
                 weighting = colour.weighting(predictor, predictor.errors(m.plant(point.theta, point.effects)))
-            return {
-                "held_out": _finite(self.held_out.position_rms(model)),
-                "unseen": _finite(self.held_out.unseen(point)),
-            }
+            return {"held_out": _finite(self.folds.position_rms(model)), "unseen": _finite(self.folds.unseen(point))}
         except PumaSimError:
             return {"held_out": None, "unseen": None}
 
@@ -81,7 +62,7 @@ class Bench:
         model cannot be run."""
         try:
             with np.errstate(all="ignore"):
-                return _finite(self.held_out.unseen(Point(theta, tuple(effects))))
+                return _finite(self.folds.unseen(Point(theta, tuple(effects))))
         except PumaSimError:
             return None
 

@@ -20,7 +20,7 @@ from puma_sim_core.effects.relations import EXACT_TIES
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.identify.experiment.excitation import Builder, Limits, Motion, voltages
 from puma_sim_core.identify.experiment.separation import NOISE, NUMBERS, Distance, Judge, Suspect, plant_with, play
-from puma_sim_core.identify.selection.selected import LEAST_GAIN
+from puma_sim_core.identify.settings import SELECTION
 from puma_sim_core.jit import BACKEND
 from puma_sim_core.plant.mechanism import Mechanism
 from puma_sim_core.simulation.simulator import SERVO_PERIOD
@@ -215,7 +215,7 @@ def design(
         raise ParameterError(
             f"no motion within the limits gives more than {max(nats, 0.0):.2g} nat",
             where="--separate " + ",".join(labels),
-            expected=f"{LEAST_GAIN:g} nat for a name: more time, voltage or range",
+            expected=f"{SELECTION.least_gain:g} nat for a name: more time, voltage or range",
         )
     return Design(
         time,
@@ -265,7 +265,7 @@ def _ties(judge: Judge, motions: list[Motion]) -> str | None:
             raise ParameterError(
                 f"no motion shows {label} here", where=where, expected="an effect that this mechanism can show"
             )
-        if max(look[n].raw for look in looks) > LEAST_GAIN and max(look[n].nats for look in looks) < _NOTHING:
+        if max(look[n].raw for look in looks) > SELECTION.least_gain and max(look[n].nats for look in looks) < _NOTHING:
             raise ParameterError(
                 f"{label} is an exact tie with parameters of {judge.mechanism.name}",
                 where=where,

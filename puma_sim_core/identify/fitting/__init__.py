@@ -1,3 +1,3 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""Stage 6: hypotheses put into the model and fitted to the innovations of its observer."""
+"""Stage 6: hypotheses put into the model and fitted to the innovations of its Kalman predictor."""

@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""The shape of what no effect of the library explains (step 10).
+"""Free curves: the shape of what no effect of the library explains.
 
-For each joint a bank of free curves: piecewise linear over one axis at a time, whole and with the
-sign of the velocity, hystereses, a step in time, and single lines of the spectrum in time and in
-motor angle. Each
-is a hypothesis like any other, with a Gaussian prior on the heights of its knots; the one with the
-greatest gain of evidence is the axis, and its heights with their band are the curve.
+For each joint a bank of curves: piecewise linear over one axis at a time, plain and with the sign of the velocity,
+hystereses, a step in time, and single spectral lines in time and in motor angle. Each is a hypothesis like any other,
+with a Gaussian prior on the heights of its knots. The one with the greatest gain of evidence is the axis, and its
+heights with their band are the curve.
 """
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,46 +19,30 @@ from puma_sim_core.effects.screening import VOLTAGE_COLUMN, Candidate, Signals
 from puma_sim_core.identify.noise import colour
 from puma_sim_core.identify.noise.weighting import Weighting
 from puma_sim_core.identify.result import Shape
+from puma_sim_core.identify.screening.causal import CausalScreen
 from puma_sim_core.identify.screening.evidence import Scored
+from puma_sim_core.identify.settings import RESIDUALS
 from puma_sim_core.jit import compiled
 
-#: knots of a curve over a physical axis; of one over time [s between knots]
-_KNOTS, _TIME_KNOT = 9, 0.5
-#: knots of a fine curve over the position
-_FINE_KNOTS = 40
-_MOST_TIME_KNOTS = 60
-#: widths of the plays of a hysteresis, as shares of the range
-_PLAYS = np.array([0.004, 0.01, 0.025, 0.06, 0.15])
-#: ways of an axis to act
+#: directions in which an axis acts
 _SIGNED, _HYSTERESIS = "with the sign of the velocity", "with hysteresis"
 _FINE = "in fine steps"
 _STEP = "in one step"
 _WITH_TORQUE = "in proportion to the torque"
-#: past over which an acceleration is averaged [s]
-_PAST = 0.025
-#: prior of a knot's height, in volts of a middling friction torque
-_HEIGHT = 0.5
-#: least gain [nat] of a curve that may be taken out before the noise is measured, how many are
-#: tried for each joint, and the price of a knot [nat]
-_CLEAR, _RIVALS, _KNOT_PRICE = 10.0, 6, 1.0
-#: share of the best gain from which on a simpler curve goes before it
-_NEARLY = 0.97
-#: places of a step in time: between the first ones at most so long [s] and at least so many, and
-#: between those about the best of these
-_STEP_APART, _STEPS, _STEPS_ABOUT = 0.25, 40, 20
-#: lines per 1/(length of record), and the highest line in terms of the second cutoff
-_LINES, _TOP_LINE = 2.0, 0.95
-#: least frequency of a line, in periods over the record
-_LEAST_PERIODS = 4.0
 #: cycles of the motor a turn that are looked for
-_ORDERS = np.round(np.arange(0.5, 12.01, 0.25), 2)
+_ORDERS = np.round(np.arange(RESIDUALS.orders[0], RESIDUALS.orders[1] + 0.01, RESIDUALS.orders[2]), 2)
+
+#: candidates with the columns that they make in the innovations of each joint
+Pairs = Iterable[tuple[Candidate, dict[int, np.ndarray]]]
 
 
 @dataclass(frozen=True)
 class Axis:
-    """What a curve is drawn over: name and unit, its coordinate (n,) at all rows, knots (k,), and
-    the columns (n, k) of unit heights at them. way : how the axis acts, in words after its name;
-    "" for a plain curve."""
+    """What a curve is drawn over.
+
+    coordinate (n,) : at all rows; knots (k,); columns (n, k) : of unit heights at the knots; way : how the axis acts,
+    in words after its name, "" for a plain curve.
+    """
 
     name: str
     unit: str
@@ -73,7 +57,7 @@ def axes(signals: Signals, joint: int, position_unit: str = "rad") -> list[Axis]
     u = position_unit
     effort = "N.m" if u == "rad" else "N"
     velocity = signals.velocity[:, joint]
-    direction = velocity / np.hypot(velocity, 2.0 * signals.velocity_noise[joint] + 1e-9)
+    direction = velocity / np.hypot(velocity, RESIDUALS.sign_noise * signals.velocity_noise[joint] + 1e-9)
     acceleration = _past_mean(signals, signals.acceleration[:, joint])
     quantities = [
         ("position", u, signals.position[:, joint]),
@@ -89,50 +73,52 @@ def axes(signals: Signals, joint: int, position_unit: str = "rad") -> list[Axis]
             quantities.append((f"torque of joint {other + 1}", effort, signals.torque[:, other]))
     found = []
     for name, unit, values in quantities:
-        low, high = np.quantile(values, [0.002, 0.998])
-        if not high - low > 1e-9:
+        low, high = np.quantile(values, RESIDUALS.quantiles)
+        if not high - low > RESIDUALS.least_range:
             continue
         # half of the knots follow the rows, half are even: bare stretches get few
-        even = np.linspace(low, high, _KNOTS)
-        dense = np.quantile(values, np.linspace(0.002, 0.998, _KNOTS))
+        even = np.linspace(low, high, RESIDUALS.knots)
+        dense = np.quantile(values, np.linspace(*RESIDUALS.quantiles, RESIDUALS.knots))
         knots = 0.5 * (even + dense)
         columns = hats(values, knots)
         found.append(Axis(name, unit, values, knots, columns))
         if name in ("position", "torque"):
             found.append(Axis(name, unit, values, knots, columns * direction[:, None], _SIGNED))
         if name == "position":
-            fine = np.linspace(low, high, _FINE_KNOTS)
+            fine = np.linspace(low, high, RESIDUALS.fine_knots)
             found.append(Axis(name, unit, values, fine, hats(values, fine), _FINE))
         if name in ("position", "voltage"):
-            widths = (high - low) * _PLAYS
+            widths = (high - low) * np.array(RESIDUALS.play_widths)
             found.append(Axis(name, unit, values, widths, _plays(values, signals.segment, widths), _HYSTERESIS))
     time = signals.time
-    count = int(np.clip((time.max() - time.min()) / _TIME_KNOT, 8, _MOST_TIME_KNOTS))
-    knots = np.linspace(time.min(), time.max(), count)
+    first, last = time.min(), time.max()
+    count = np.clip((last - first) / RESIDUALS.time_knot, RESIDUALS.least_time_knots, RESIDUALS.most_time_knots)
+    knots = np.linspace(first, last, int(count))
     found.append(Axis("time", "s", time, knots, hats(time, knots)))
-    few = np.linspace(time.min(), time.max(), 8)
+    few = np.linspace(first, last, RESIDUALS.signed_time_knots)
     found.append(Axis("time", "s", time, few, hats(time, few) * direction[:, None], _SIGNED))
     return found
 
 
-def _past_mean(signals: Signals, values) -> np.ndarray:
+def _past_mean(signals: Signals, values: np.ndarray) -> np.ndarray:
     """(n,) values averaged over a short past: at rest, steps between quanta look like blows."""
-    rows = max(1, int(_PAST / signals.step))
+    rows = max(1, int(RESIDUALS.past / signals.step))
     total = np.cumsum(np.r_[0.0, values])
     first = np.maximum(np.arange(len(values)) + 1 - rows, 0)
-    return (total[1:] - total[first]) / (np.arange(len(values)) + 1 - first)
+    mean: np.ndarray = (total[1:] - total[first]) / (np.arange(len(values)) + 1 - first)
+    return mean
 
 
-def _plays(values, segment, widths) -> np.ndarray:
-    """(n, k) what a play of each width [unit of values] holds back of a quantity: a bank of
-    Prandtl and Ishlinskii, which has the shape of any hysteresis without a rate."""
+def _plays(values: np.ndarray, segment: np.ndarray, widths: np.ndarray) -> np.ndarray:
+    """(n, k) a quantity less the output of play operators of each width [unit of values]: a bank of Prandtl and
+    Ishlinskii, which has the shape of any rate-independent hysteresis."""
     return np.column_stack([play(np.ascontiguousarray(values), segment, 0.5 * float(w)) for w in widths])
 
 
 @compiled
-def play(values, segment, half):
-    """values less the output of a play of half width `half`, at rest in its middle at the start of
-    each segment. Arrays (n,), returns (n,)."""
+def play(values: np.ndarray, segment: np.ndarray, half: float) -> np.ndarray:
+    """values less the output of a play operator of half width `half`, at rest in its middle at the start of each
+    segment. Arrays (n,), returns (n,)."""
     out = np.empty_like(values)
     y = values[0]
     for i in range(values.size):
@@ -151,30 +137,50 @@ def hats(values: np.ndarray, knots: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Curve:
-    """A free curve over an axis, or a line (axis None), as scored, with its candidates' columns.
-    way : how the axis acts, as `Axis.way`."""
+    """A free curve over an axis, or a spectral line (axis None), as scored, with its candidates' columns. way : how the
+    axis acts, as `Axis.way`."""
 
     scored: Scored
     axis: Axis | None
-    pairs: list | _Lines
+    pairs: Pairs
     way: str = ""
 
-    def volts(self, causal) -> np.ndarray:
+    @property
+    def joint(self) -> int:
+        """Its joint (1-based)."""
+        assert self.scored.joint is not None
+        return self.scored.joint
+
+    @property
+    def candidate(self) -> Candidate:
+        """The candidate that fits best."""
+        assert self.scored.entry is not None
+        return self.scored.entry.candidate
+
+    @property
+    def heights(self) -> np.ndarray:
+        """(k,) heights at the knots [V], or of sine and cosine."""
+        assert self.scored.coefficients is not None
+        return self.scored.coefficients
+
+    def volts(self, causal: CausalScreen) -> np.ndarray:
         """(N, J) voltage [V] of the curve at the rows before the innovations."""
-        candidate, heights = self.scored.entry.candidate, self.scored.coefficients
+        candidate, heights = self.candidate, self.heights
         if candidate.columns:
             return causal.volts(candidate, heights)
-        out, j = np.zeros_like(causal.signals.voltage), self.scored.joint - 1
+        out, j = np.zeros_like(causal.signals.voltage), self.joint - 1
         phase = 2.0 * np.pi * candidate.grid["frequency"] * causal.signals.time
         out[:, j] = heights[0] * np.sin(phase) + heights[1] * np.cos(phase)
-        return out * causal.signals.enable
+        volts: np.ndarray = out * causal.signals.enable
+        return volts
 
 
-def curves(causal, position_unit: str = "rad", joints=None) -> list[Curve]:
+def curves(causal: CausalScreen, position_unit: str = "rad", joints: Collection[int] | None = None) -> list[Curve]:
     """All curves of some joints (1-based; None: of all), best first."""
-    signals, found = causal.signals, []
+    signals = causal.signals
+    found: list[Curve] = []
 
-    def add(name, joint, pairs, axis, way=""):
+    def add(name: str, joint: int, pairs: Pairs, axis: Axis | None, way: str = "") -> None:
         scored = causal.score_columns(name, joint, pairs)
         if scored is not None:
             found.append(Curve(scored, axis, pairs, way))
@@ -182,18 +188,10 @@ def curves(causal, position_unit: str = "rad", joints=None) -> list[Curve]:
     for j in range(signals.joints):
         if joints is not None and j + 1 not in joints:
             continue
-        height = _HEIGHT * float(signals.volts_per_torque[j] * signals.torque_scale[j])
+        height = RESIDUALS.height * float(signals.volts_per_torque[j] * signals.torque_scale[j])
         for axis in axes(signals, j, position_unit):
-            columns = axis.columns if not axis.way == _HYSTERESIS else (axis.columns * (height / axis.knots[-1]))
-            p = columns.shape[1]
-            candidate = Candidate(
-                tuple({j: column} for column in columns.T),
-                VOLTAGE_COLUMN,
-                np.zeros(p),
-                np.full(p, height),
-                _free,
-                {"height": height},
-            )
+            columns = axis.columns * (height / axis.knots[-1]) if axis.way == _HYSTERESIS else axis.columns
+            candidate = _candidate([{j: column} for column in columns.T], height, {"height": height})
             add(axis.name, j + 1, [(candidate, causal.columns(candidate))], axis, axis.way)
         add("line", j + 1, _time_lines(causal, j, height), None)
         add("time", j + 1, *_step(causal, j, height), _STEP)
@@ -206,18 +204,15 @@ def curves(causal, position_unit: str = "rad", joints=None) -> list[Curve]:
     return sorted(found, key=lambda curve: -curve.scored.gain)
 
 
-def again(causal, curve: Curve) -> Curve:
+def again(causal: CausalScreen, curve: Curve) -> Curve:
     """A curve as scored in another screen."""
-    candidate, joint = curve.scored.entry.candidate, curve.scored.joint
+    candidate, joint = curve.candidate, curve.joint
+    pairs: Pairs
     if candidate.columns:
         pairs = [(candidate, causal.columns(candidate))]
     else:
-        line = candidate.grid["frequency"]
-        pairs = [
-            pair
-            for pair in _time_lines(causal, joint - 1, float(candidate.deviation[0]))
-            if pair[0].grid["frequency"] == line
-        ]
+        lines = _time_lines(causal, joint - 1, float(candidate.deviation[0]))
+        pairs = [pair for pair in lines if pair[0].grid["frequency"] == candidate.grid["frequency"]]
     return replace(curve, scored=causal.score_columns(curve.scored.name, joint, pairs), pairs=pairs)
 
 
@@ -225,7 +220,7 @@ def best_of_joints(found: list[Curve], share: float) -> list[Curve]:
     """The best curve of each joint that gains such a share of the best gain at least."""
     best: dict[int, Curve] = {}
     for curve in found:
-        best.setdefault(curve.scored.joint, curve)
+        best.setdefault(curve.joint, curve)
     return [c for c in best.values() if c.scored.gain >= share * found[0].scored.gain]
 
 
@@ -235,185 +230,145 @@ def simplest_first(found: list[Curve]) -> list[Curve]:
     if not found:
         return found
     near = [
-        c for c in found if c.scored.joint == found[0].scored.joint and c.scored.gain > _NEARLY * found[0].scored.gain
+        c
+        for c in found
+        if c.scored.joint == found[0].scored.joint and c.scored.gain > RESIDUALS.nearly * found[0].scored.gain
     ]
-    first = min(near or found[:1], key=lambda c: len(c.scored.coefficients))
+    first = min(near or found[:1], key=lambda c: len(c.heights))
     return [first, *(c for c in found if c is not first)]
 
 
-def chance(causal, found: list[Curve], shifts) -> float:
+def chance(causal: CausalScreen, found: list[Curve], shifts: np.ndarray) -> float:
     """Greatest gain that chance gives any of the curves, once the best one is taken out."""
-    return causal.chance([(curve.scored, curve.pairs) for curve in found], shifts) if found else 0.0
+    return float(causal.chance([(curve.scored, curve.pairs) for curve in found], shifts)) if found else 0.0
 
 
-def noise(causal, found: list[Curve]):
+def noise(causal: CausalScreen, found: list[Curve]) -> Weighting:
     """The weighting by what is left of each joint after the curve that explains it best.
 
-    Each of the first curves of a joint, and none at all, is set beside the others with the noise
-    that it leaves, by the likelihood of the two together: what a curve explains is then no noise,
-    and noise that a curve follows by chance does not make the rest look clear.
+    Each of the first curves of a joint, and none at all, is set beside the others with the noise that it leaves, by the
+    likelihood of the two together: what a curve explains is then no noise, and noise that a curve follows by chance
+    does not make the rest look clear.
     """
     predictor, before = causal.predictor, causal.fit.weighting
     alone, taps = causal.left(), []
     for j in range(causal.J):
         best = colour.noise(predictor, alone[:, j], j, before)
         most = best.log_likelihood
-        own = [c for c in found if c.axis is not None and c.scored.joint == j + 1 and c.scored.gain > _CLEAR]
-        for curve in own[:_RIVALS]:
-            left = causal.left(curve.scored.entry.candidate, curve.scored.coefficients)
+        own = [(c, c.axis) for c in found if c.axis is not None and c.joint == j + 1]
+        clear = [(curve, axis) for curve, axis in own if curve.scored.gain > RESIDUALS.clear]
+        for curve, axis in clear[: RESIDUALS.most_curves]:
+            left = causal.left(curve.candidate, curve.heights)
             noise_left = colour.noise(predictor, left[:, j], j, before)
-            worth = noise_left.log_likelihood - _KNOT_PRICE * len(curve.axis.knots)
+            worth = noise_left.log_likelihood - RESIDUALS.occam_knot * len(axis.knots)
             if worth > most:
                 best, most = noise_left, worth
         taps.append(best.taps)
     return Weighting(np.array(taps), np.ones(len(taps)), predictor.lengths)
 
 
-def _free(coefficients):
+def _free(coefficients: np.ndarray) -> dict[str, float]:
     """Any curve is allowed."""
     return {}
 
 
-def _pair(height, grid) -> Candidate:
-    return Candidate((), VOLTAGE_COLUMN, np.zeros(2), np.full(2, height), _free, grid)
+def _candidate(
+    columns: Sequence[dict[int, np.ndarray]], height: float, grid: dict[str, float], p: int = 0
+) -> Candidate:
+    """A curve with a prior on its heights [V]. p : number of these, where there are no columns."""
+    p = p or len(columns)
+    return Candidate(tuple(columns), VOLTAGE_COLUMN, np.zeros(p), np.full(p, height), _free, grid)
 
 
-def _step(causal, j, height) -> tuple[list, Axis]:
+def _step(causal: CausalScreen, j: int, height: float) -> tuple[Pairs, Axis]:
     """(candidate, its columns) of one step in time at each of several places, and their axis."""
     time = causal.signals.time
     first, last = float(time.min()), float(time.max())
 
-    def at(places):
-        found = []
-        for place in places:
-            column = (time > place).astype(float)
-            candidate = Candidate(
-                ({j: column},),
-                VOLTAGE_COLUMN,
-                np.zeros(1),
-                np.array([height]),
-                _free,
-                {"height": height, "time": float(place)},
-            )
-            found.append((candidate, causal.columns(candidate)))
-        return found
+    def at(places: np.ndarray) -> list[tuple[Candidate, dict[int, np.ndarray]]]:
+        grids = [{"height": height, "time": float(place)} for place in places]
+        steps = [_candidate([{j: (time > grid["time"]).astype(float)}], height, grid) for grid in grids]
+        return [(candidate, causal.columns(candidate)) for candidate in steps]
 
-    apart = min(_STEP_APART, (last - first) / _STEPS)
+    apart = min(RESIDUALS.step_distance, (last - first) / RESIDUALS.least_steps)
     coarse = at(np.arange(first + apart, last - 0.5 * apart, apart))
     best = causal.score_columns("time", j + 1, coarse).entry.candidate.grid["time"]
-    pairs = coarse + at(np.linspace(best - apart, best + apart, _STEPS_ABOUT + 1)[1:-1])
-    best = causal.score_columns("time", j + 1, pairs).entry.candidate
-    knots = np.array([first, best.grid["time"], best.grid["time"], last])
-    return pairs, Axis("time", "s", time, knots, best.columns[0][j][:, None], _STEP)
+    pairs = coarse + at(np.linspace(best - apart, best + apart, RESIDUALS.steps_about + 1)[1:-1])
+    candidate = causal.score_columns("time", j + 1, pairs).entry.candidate
+    knots = np.array([first, candidate.grid["time"], candidate.grid["time"], last])
+    return pairs, Axis("time", "s", time, knots, candidate.columns[0][j][:, None], _STEP)
 
 
-def _time_lines(causal, j, height) -> _Lines:
+def _time_lines(causal: CausalScreen, j: int, height: float) -> _Lines:
     time = causal.block_times(j)
     length = time.max() - time.min()
-    top = causal.problem.sampled.cutoffs[1]
-    frequencies = np.arange(_LEAST_PERIODS / length, _TOP_LINE * top, 1.0 / (_LINES * length))
-    return _Lines(
-        j,
-        time,
-        causal.response(j, frequencies),
-        frequencies,
-        [_pair(height, {"frequency": float(f)}) for f in frequencies],
-    )
+    top = RESIDUALS.top_line * causal.problem.sampled.cutoffs[1]
+    frequencies = np.arange(RESIDUALS.least_periods / length, top, 1.0 / (RESIDUALS.line_density * length))
+    candidates = [_candidate((), height, {"frequency": float(f)}, 2) for f in frequencies]
+    return _Lines(j, time, causal.response(j, frequencies), frequencies, candidates)
 
 
 @dataclass(frozen=True)
 class _Lines:
-    """(candidate, its columns) of each line in time. Their number grows with the length of the log,
-    as does a column: all at once they would take gigabytes."""
+    """(candidate, its columns) of each spectral line in time. Their number grows with the length of the log, as does a
+    column: all at once they would take gigabytes."""
 
     joint: int
     time: np.ndarray
     gains: np.ndarray
     frequencies: np.ndarray
-    candidates: list
+    candidates: list[Candidate]
 
     def __len__(self) -> int:
         return len(self.candidates)
 
-    def __iter__(self):
+    def __iter__(self) -> Iterator[tuple[Candidate, dict[int, np.ndarray]]]:
         for candidate, f, gain in zip(self.candidates, self.frequencies, self.gains):
             phase = 2.0 * np.pi * f * self.time + np.angle(gain)
             yield candidate, {self.joint: abs(gain) * np.column_stack([np.sin(phase), np.cos(phase)])}
 
 
-def _angle_lines(causal, j, height, factor) -> list:
+def _angle_lines(causal: CausalScreen, j: int, height: float, factor: np.ndarray | float) -> Pairs:
     """(candidate, its columns) of each line in motor angle, times a factor (n,) or 1.0."""
     signals = causal.signals
     speed = np.abs(signals.velocity[:, j]) * signals.gear[j] / (2.0 * np.pi)
     pairs = []
     for order in _ORDERS:
-        if (order * speed < causal.problem.sampled.cutoffs[1]).mean() < 0.1:
+        if (order * speed < causal.problem.sampled.cutoffs[1]).mean() < RESIDUALS.least_order_rows:
             continue
         phase = order * signals.gear[j] * signals.position[:, j]
-        columns = {j: factor * np.sin(phase)}, {j: factor * np.cos(phase)}
-        candidate = Candidate(columns, VOLTAGE_COLUMN, np.zeros(2), np.full(2, height), _free, {"order": float(order)})
+        columns = [{j: factor * np.sin(phase)}, {j: factor * np.cos(phase)}]
+        candidate = _candidate(columns, height, {"order": float(order)})
         pairs.append((candidate, causal.columns(candidate)))
     return pairs
 
 
-def describe(best: Curve, ranking) -> Shape:
+def describe(best: Curve, ranking: tuple[tuple[str, float], ...]) -> Shape:
     """The best curve with its 95 % band."""
-    scored, axis = best.scored, best.axis
-    spread = 1.96 * np.sqrt(np.diag(scored.covariance))
-    heights = scored.coefficients
-    if axis is not None and axis.way == _HYSTERESIS:
-        # the branch after a reversal: each play gives way until its width is used up
-        change = np.concatenate([[0.0], axis.knots])
-        columns = (
-            scored.entry.candidate.grid["height"]
-            / axis.knots[-1]
-            * (np.minimum(change[:, None], axis.knots) - 0.5 * axis.knots)
-        )
-        curve = columns @ heights
-        band = 1.96 * np.sqrt(np.einsum("ij,jk,ik->i", columns, scored.covariance, columns))
-        return Shape(
-            axis.name, axis.unit, scored.joint, change, curve, curve - band, curve + band, None, ranking, axis.way
-        )
-    if axis is not None:
-        if axis.way == _STEP:
-            heights, spread = (np.array([0.0, 0.0, x[0], x[0]]) for x in (heights, spread))
-        return Shape(
-            axis.name,
-            axis.unit,
-            scored.joint,
-            axis.knots,
-            heights,
-            heights - spread,
-            heights + spread,
-            None,
-            ranking,
-            axis.way,
-        )
-    phase = np.linspace(0.0, 2.0 * np.pi, 33)
-    curve = heights[0] * np.sin(phase) + heights[1] * np.cos(phase)
-    band = np.sqrt((np.sin(phase) * spread[0]) ** 2 + (np.cos(phase) * spread[1]) ** 2)
-    grid = scored.entry.candidate.grid
-    if "frequency" in grid:
-        return Shape(
-            "time",
-            "s",
-            scored.joint,
-            phase / (2.0 * np.pi * grid["frequency"]),
-            curve,
-            curve - band,
-            curve + band,
-            grid["frequency"],
-            ranking,
-        )
-    return Shape(
-        "motor_angle",
-        "rad",
-        scored.joint,
-        phase / grid["order"],
-        curve,
-        curve - band,
-        curve + band,
-        None,
-        ranking,
-        best.way,
-    )
+    axis, heights, covariance, grid = best.axis, best.heights, best.scored.covariance, best.candidate.grid
+    assert covariance is not None
+    spread = RESIDUALS.normal_quantile * np.sqrt(np.diag(covariance))
+    name, unit, way, frequency = "motor_angle", "rad", best.way, grid.get("frequency")
+    centre: np.ndarray
+    curve: np.ndarray
+    band: np.ndarray
+    if axis is None:
+        phase = np.linspace(0.0, 2.0 * np.pi, RESIDUALS.line_points)
+        curve = heights[0] * np.sin(phase) + heights[1] * np.cos(phase)
+        band = np.sqrt((np.sin(phase) * spread[0]) ** 2 + (np.cos(phase) * spread[1]) ** 2)
+        if frequency is None:
+            centre = phase / grid["order"]
+        else:
+            name, unit, centre = "time", "s", phase / (2.0 * np.pi * frequency)
+    else:
+        name, unit, way, centre, curve, band = axis.name, axis.unit, axis.way, axis.knots, heights, spread
+        if way == _STEP:
+            curve, band = (np.array([0.0, 0.0, x[0], x[0]]) for x in (heights, spread))
+        elif way == _HYSTERESIS:
+            # the branch after a reversal: each play operator moves until its width is used up
+            centre = np.concatenate([[0.0], axis.knots])
+            shares = np.minimum(centre[:, None], axis.knots) - 0.5 * axis.knots
+            columns = grid["height"] / axis.knots[-1] * shares
+            curve = columns @ heights
+            band = RESIDUALS.normal_quantile * np.sqrt(np.einsum("ij,jk,ik->i", columns, covariance, columns))
+    return Shape(name, unit, best.joint, centre, curve, curve - band, curve + band, frequency, ranking, way)

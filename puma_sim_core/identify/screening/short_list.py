@@ -42,7 +42,7 @@ class ShortList:
         first."""
         slow, fast = self._slow(keys, point), self._fast(causal, keys)
         # a model of two masses a joint takes some ten times as long
-        share = 2 if point.heavy else 1
+        share = 2 if point.two_mass else 1
         short = self._completed(_joined(slow[: _SLOW // share], fast[: _FAST // share]), causal, keys)
         return short, sorted(slow + fast, key=lambda s: -s.gain)
 

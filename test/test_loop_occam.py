@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""What coefficients cost: against integrals over priors, and what it does to a richer kind."""
+"""Occam factors: against integrals over priors, and what they do to a richer effect."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy.integrate import quad
 from scipy.stats import multivariate_normal, norm
 
 from puma_sim_core.effects import KINDS, Effect, parse_effect
-from puma_sim_core.identify.fitting import prices
+from puma_sim_core.identify.fitting import occam
 from puma_sim_core.identify.fitting.prediction import Fitted, Point
 from puma_sim_core.identify.screening.evidence import Scored
 
@@ -34,29 +34,29 @@ class Fit:
         return np.zeros(len(pairs)), np.full(len(pairs), 1e-9)
 
 
-def price_of(text: str, spread: dict[str, float], others: int = 2) -> float:
-    """Price of an effect of which a log leaves these deviations, in units of its parameters."""
+def factor_of(text: str, spread: dict[str, float], others: int = 2) -> float:
+    """Occam factor of an effect of which a log leaves these deviations, in units of its parameters."""
     effect = parse_effect(text)
     point, names = Point(np.zeros(others), (effect,)), tuple((0, name) for name in spread)
     sizes = Fit().sizes(point, names)
     jacobian = np.diag(np.r_[np.ones(others), np.array(sizes) / np.array([*spread.values()])])
     scored = Scored(effect.kind.name, effect.joint, 0.0, 0.0, None, None, None, dict(effect.values))
-    return prices.price(scored, Fit(), Fitted(point, np.zeros((1, 3)), 0.0, names, jacobian))
+    return occam.factor(scored, Fit(), Fitted(point, np.zeros((1, 3)), 0.0, names, jacobian))
 
 
 @pytest.mark.parametrize(
     "distance, deviation, left", [(0.0, 1.0, 0.01), (0.7, 1.0, 0.3), (-2.0, 0.5, 0.4), (1.0, 0.2, 5.0)]
 )
-def test_a_price_is_the_likelihood_at_its_best_over_its_mean_in_the_prior(distance, deviation, left):
+def test_an_occam_factor_is_the_likelihood_at_its_best_over_its_mean_in_the_prior(distance, deviation, left):
     def integrand(x):
         return np.exp(-0.5 * ((x - distance) / left) ** 2) * norm.pdf(x, 0.0, deviation)
 
     mean, _ = quad(integrand, -12.0, 12.0, points=[0.0, distance], limit=400)
-    found = prices.gaussian(np.array([distance]), np.array([deviation]), np.array([[left**2]]))
+    found = occam.gaussian(np.array([distance]), np.array([deviation]), np.array([[left**2]]))
     assert found == pytest.approx(-np.log(mean), rel=1e-6)
 
 
-def test_a_price_of_several_coefficients_is_that_of_all_together():
+def test_an_occam_factor_of_several_coefficients_is_that_of_all_together():
     rng = np.random.default_rng(5)
     for _ in range(20):
         root = rng.normal(size=(3, 3))
@@ -64,19 +64,19 @@ def test_a_price_of_several_coefficients_is_that_of_all_together():
         deviation, distance = rng.uniform(0.1, 3.0, 3), rng.normal(size=3)
         mean = multivariate_normal.logpdf(distance, np.zeros(3), covariance + np.diag(deviation**2))
         best = multivariate_normal.logpdf(np.zeros(3), np.zeros(3), covariance)
-        assert prices.gaussian(distance, deviation, covariance) == pytest.approx(best - mean)
+        assert occam.gaussian(distance, deviation, covariance) == pytest.approx(best - mean)
 
 
-def test_what_a_log_says_nothing_of_costs_nothing():
+def test_what_a_log_says_nothing_of_has_no_occam_factor():
     covariance = np.diag([0.01, 1e14])
-    both = prices.gaussian(np.array([0.5, 3.0]), np.ones(2), covariance)
-    assert both == pytest.approx(prices.gaussian(np.array([0.5]), np.ones(1), covariance[:1, :1]))
+    both = occam.gaussian(np.array([0.5, 3.0]), np.ones(2), covariance)
+    assert both == pytest.approx(occam.gaussian(np.array([0.5]), np.ones(1), covariance[:1, :1]))
 
 
 def test_a_shape_of_friction_costs_as_much_at_any_level():
     def more(level):
-        one = price_of(f"coulomb_friction:joint=1,torque={level}", {"torque": 0.05 * level})
-        two = price_of(
+        one = factor_of(f"coulomb_friction:joint=1,torque={level}", {"torque": 0.05 * level})
+        two = factor_of(
             f"asymmetric_coulomb_friction:joint=1,positive={1.2 * level},negative={0.8 * level}",
             {"positive": 0.05 * 2**0.5 * level, "negative": 0.05 * 2**0.5 * level},
         )
@@ -90,7 +90,7 @@ def test_a_shape_of_friction_costs_as_much_at_any_level():
 
 def test_a_bump_that_no_machine_has_costs_more_than_one_of_the_usual_size():
     def of(torque, velocity):
-        return price_of(
+        return factor_of(
             f"stribeck_friction:joint=2,torque={torque},velocity={velocity},sliding=1",
             {"torque": 0.1, "velocity": 0.3 * velocity, "sliding": 0.1},
         )
@@ -105,7 +105,7 @@ def test_a_bump_that_no_machine_has_costs_more_than_one_of_the_usual_size():
 
 def test_a_variation_over_the_position_costs_the_same_wherever_it_is_greatest():
     found = [
-        price_of(
+        factor_of(
             f"position_dependent_friction:joint=3,torque=2,amplitude=0.8,angle={angle}",
             {"torque": 0.1, "amplitude": 0.2, "angle": 0.25},
         )
@@ -125,6 +125,6 @@ def test_coordinates_are_finite_wherever_the_parameters_are_legal(name):
 
 
 @pytest.mark.parametrize("screened, count, wanted", [(-2.0, 2, 3.0), (4.0, 1, 4.0), (80.0, 1, 6.0), (80.0, 3, 18.0)])
-def test_a_price_is_that_of_the_screening_within_what_a_coefficient_can_cost(screened, count, wanted):
+def test_an_occam_factor_of_the_screening_is_bounded_by_those_of_its_coefficients(screened, count, wanted):
     scored = Scored("payload", None, 10.0, 10.0, None, None, None, {str(n): 1.0 for n in range(count)}, None, screened)
-    assert prices.screened(scored) == wanted
+    assert occam.screened(scored) == wanted

@@ -12,7 +12,7 @@ from scipy.optimize import minimize_scalar
 from puma_sim_core.effects import Effect, parse_effect
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
 from puma_sim_core.identify.screening.problem import Problem
-from puma_sim_core.identify.selection.held_out import Fold, HeldOut, Model
+from puma_sim_core.identify.selection.cross_validation import CrossValidation, Fold, WeightedModel
 from puma_sim_core.identify.selection.validate import Validation
 from puma_sim_core.plant.mechanism import load_mechanism
 
@@ -21,87 +21,85 @@ NOISE = 0.05
 
 
 def fits(*true, place=0.5):
-    """(what is held out, function of an effect and its free parameters -> the model fitted with it)
+    """(the folds, function of an effect and its free parameters -> the model fitted with it)
     of a log of the pendulum with effects."""
     mechanism = load_mechanism("pendulum")
     effects = tuple(parse_effect(text) for text in true)
     log = record(mechanism, mechanism.plant(effects=effects), volts=NOISE, noise=1e-5)
-    problem, kept_back, predictor = pieces(mechanism, log, NOISE, 1e-5, place)
+    problem, rows, predictor = pieces(mechanism, log, NOISE, 1e-5, place)
     weighting = predictor.white_weighting(predictor.errors(mechanism.plant(effects=effects)))
     fit = PredictionFit(predictor, weighting)
 
     def fitted(text, *names):
         point = Point(mechanism.start, (parse_effect(text),) if text else ())
-        return Model(fit.run(point, [(0, name) for name in names]), weighting)
+        return WeightedModel(fit.run(point, [(0, name) for name in names]), weighting)
 
-    return HeldOut.of(problem, predictor, kept_back), fitted
+    return CrossValidation.of(problem, predictor, rows), fitted
 
 
 @pytest.mark.parametrize("place", (0.5, 0.2, 0.8))
 def test_folds_cover_a_log_without_overlap(place):
-    held_out, _ = fits(place=place)
-    times = sum(fold.predictor.held_rows.astype(int) for fold in held_out.folds)
-    usable = held_out.folds[0].predictor
-    usable = usable.fit_rows | usable.held_rows
+    folds, _ = fits(place=place)
+    times = sum(fold.predictor.validation_rows.astype(int) for fold in folds.folds)
+    usable = folds.folds[0].predictor
+    usable = usable.fit_rows | usable.validation_rows
     # but for a row at a border
     assert np.mean(times[usable] == 1) > 0.99 and not times[~usable].any()
-    for fold in held_out.folds:
-        assert fold.predictor.held_rows.any()
-        assert not (fold.predictor.held_rows & fold.predictor.fit_rows).any()
+    for fold in folds.folds:
+        assert fold.predictor.validation_rows.any()
+        assert not (fold.predictor.validation_rows & fold.predictor.fit_rows).any()
         assert len(fold.validation.lengths("held_out")) >= 3
 
 
 def test_what_is_there_lowers_the_error_and_what_is_not_does_not():
     friction = "coulomb_friction:joint=1,torque=0.02"
-    held_out, fitted = fits(friction)
+    folds, fitted = fits(friction)
     with_it, without = fitted(friction, "torque"), fitted(None)
-    assert held_out.lower(with_it, without)
-    assert not held_out.lower(without, with_it)
-    assert not held_out.lower(without, without)
+    assert folds.lower(with_it, without)
+    assert not folds.lower(without, with_it)
+    assert not folds.lower(without, without)
 
 
 def test_each_fold_is_predicted_by_parameters_fitted_to_the_others():
-    held_out, fitted = fits("coulomb_friction:joint=1,torque=0.02")
+    folds, fitted = fits("coulomb_friction:joint=1,torque=0.02")
     model = fitted("coulomb_friction:joint=1,torque=0.02", "torque")
-    points = held_out._points(model)
+    points = folds._points(model)
     # the choice's own quarter was kept back from the fit already
     assert points[0] is model.fitted.point
-    for fold, point in zip(held_out.folds[1:], points[1:]):
+    for fold, point in zip(folds.folds[1:], points[1:]):
         fit = PredictionFit(fold.predictor, model.weighting)
         # derivatives about itself, as exact as can be
         exact = fit.run(point, model.fitted.names, rounds=4)
         assert exact.objective > fit.objective(fit.errors(point), point) - 0.05
         assert point.key != model.fitted.point.key
-    assert held_out._points(model) is points
+    assert folds._points(model) is points
 
 
 def test_the_errors_are_those_of_all_windows_together():
-    held_out, fitted = fits()
+    folds, fitted = fits()
     model = fitted(None)
-    points = held_out._points(model)
-    parts = [
-        fold.validation.window_errors(held_out._plant(point), "held_out") for fold, point in zip(held_out.folds, points)
-    ]
+    points = folds._points(model)
+    parts = [fold.validation.window_errors(folds._plant(point), "held_out") for fold, point in zip(folds.folds, points)]
     together = np.sqrt(sum((e**2).sum() for e in parts) / sum(len(e) for e in parts))
-    assert np.allclose(held_out.position_rms(model), together, rtol=1e-12)
-    start = Point(held_out.folds[0].predictor.mechanism.start, ())
+    assert np.allclose(folds.position_rms(model), together, rtol=1e-12)
+    start = Point(folds.folds[0].predictor.mechanism.start, ())
     models = {"nominal": start, "retuned": model, "augmented": model}
-    tables = held_out.errors(models, np.array([0.1]), (np.array([NOISE]), np.array([1e-5])))
-    assert np.array_equal(tables["held_out"].position_rms.augmented, held_out.position_rms(model))
-    assert np.array_equal(tables["unseen"].position_rms.retuned, held_out.unseen(model.fitted.point))
-    assert np.array_equal(tables["unseen"].position_rms.nominal, held_out.unseen(start))
+    tables = folds.errors(models, np.array([0.1]), (np.array([NOISE]), np.array([1e-5])))
+    assert np.array_equal(tables["held_out"].position_rms.augmented, folds.position_rms(model))
+    assert np.array_equal(tables["unseen"].position_rms.retuned, folds.unseen(model.fitted.point))
+    assert np.array_equal(tables["unseen"].position_rms.nominal, folds.unseen(start))
 
 
 def test_what_the_other_folds_tell_nothing_of_follows_what_they_do_tell():
     blow = "impulse:joint=1,torque=0.5,time=5.0,width=0.1"
-    held_out, fitted = fits(blow, place=0.2)
+    folds, fitted = fits(blow, place=0.2)
     model = fitted(blow, "torque")
-    holds = [bool(fold.predictor.held_rows[int(5.0 / 2e-3)].all()) for fold in held_out.folds]
+    holds = [bool(fold.predictor.validation_rows[int(5.0 / 2e-3)].all()) for fold in folds.folds]
     assert sum(holds) == 1 and not holds[0]
-    point = held_out._points(model)[holds.index(True)]
+    point = folds._points(model)[holds.index(True)]
     assert not np.array_equal(point.theta, model.fitted.point.theta)
     # the torque is the best of the whole log beside the parameters without the fold
-    fit = PredictionFit(held_out.folds[0].predictor, model.weighting)
+    fit = PredictionFit(folds.folds[0].predictor, model.weighting)
 
     def worse(torque):
         effect = point.effects[0]
@@ -112,32 +110,32 @@ def test_what_the_other_folds_tell_nothing_of_follows_what_they_do_tell():
     before, after = (p.effects[0].values["torque"] for p in (model.fitted.point, point))
     assert abs(before - best) > 1e-4 and abs(after - best) < 0.1 * abs(before - best)
     # without the blow the parameters give way to it
-    assert held_out.lower(model, fitted(None))
+    assert folds.lower(model, fitted(None))
 
 
-def test_logs_that_are_kept_back_are_predicted_as_they_are():
+def test_logs_for_validation_are_predicted_as_they_are():
     mechanism = load_mechanism("pendulum")
-    problem, kept_back, predictor = pieces(mechanism, record(mechanism, mechanism.plant()))
+    problem, rows, predictor = pieces(mechanism, record(mechanism, mechanism.plant()))
     whole = Problem(problem.sampled, mechanism, (), hold_back=False)
-    held_out = HeldOut.of(whole, predictor, kept_back)
-    assert len(held_out.folds) == 1 and held_out.folds[0].known
+    folds = CrossValidation.of(whole, predictor, rows)
+    assert len(folds.folds) == 1 and folds.folds[0].unseen
     point = Point(mechanism.start * 1.01, ())
     weighting = predictor.white_weighting(predictor.errors(mechanism.plant()))
-    model = Model(Fitted(point, np.zeros((0, 1)), 0.0, ()), weighting)
-    assert held_out._points(model) == [point]
+    model = WeightedModel(Fitted(point, np.zeros((0, 1)), 0.0, ()), weighting)
+    assert folds._points(model) == [point]
     assert set(
-        held_out.errors({"nominal": point, "retuned": model, "augmented": model}, np.ones(1), (np.ones(1), np.ones(1)))
+        folds.errors({"nominal": point, "retuned": model, "augmented": model}, np.ones(1), (np.ones(1), np.ones(1)))
     ) == {"held_out"}
 
 
 def test_without_any_window_nothing_is_said_against_a_name():
     mechanism = load_mechanism("pendulum")
-    problem, kept_back, predictor = pieces(mechanism, record(mechanism, mechanism.plant()))
+    problem, _, predictor = pieces(mechanism, record(mechanism, mechanism.plant()))
     none = [lambda t: np.zeros(len(t), dtype=bool)]
     whole = Problem(problem.sampled, mechanism, (), hold_back=False)
-    bare = predictor.keeping(none)
-    held_out = HeldOut([Fold(bare, Validation(whole, bare), True)])
+    bare = predictor.validated_at(none)
+    folds = CrossValidation([Fold(bare, Validation(whole, bare), True)])
     weighting = predictor.white_weighting(predictor.errors(mechanism.plant()))
-    model = Model(Fitted(Point(mechanism.start, ()), np.zeros((0, 1)), 0.0, ()), weighting)
-    assert np.isnan(held_out.position_rms(model)).all()
-    assert held_out.lower(model, model)
+    model = WeightedModel(Fitted(Point(mechanism.start, ()), np.zeros((0, 1)), 0.0, ()), weighting)
+    assert np.isnan(folds.position_rms(model)).all()
+    assert folds.lower(model, model)

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""Logs made ready for the selection: sampling, retuned parameters, noise, Kalman predictor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from puma_sim_core.effects import KINDS, Kind
+from puma_sim_core.identify.data.ingest import Log
+from puma_sim_core.identify.data.sampling import sample
+from puma_sim_core.identify.fitting.predictor import Predictor, RowChoice
+from puma_sim_core.identify.screening.problem import Problem
+from puma_sim_core.identify.screening.search import Fit, Search
+from puma_sim_core.identify.settings import FITTING
+from puma_sim_core.plant.mechanism import Mechanism
+
+
+def silent(what: str, share: float) -> None:
+    """Show no progress."""
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What the selection starts from.
+
+    library : name -> effect, of those that the mechanism may have; retuned : parameters by filtered motion, without
+    effects.
+    """
+
+    logs: tuple[Log, ...]
+    problem: Problem
+    library: dict[str, Kind]
+    search: Search
+    retuned: Fit
+    predictor: Predictor
+
+    def validation(self, problem: Problem) -> list[RowChoice]:
+        """For each log which of its rows are of the validation set of a problem."""
+        return _validation(problem, len(self.logs))
+
+
+def prepare(
+    logs: Sequence[Log],
+    validation: Sequence[Log],
+    mechanism: Mechanism,
+    progress: Callable[[str, float], None] = silent,
+) -> Prepared:
+    """Sample logs, retune the parameters, and make the predictor.
+
+    validation : logs that are used for nothing but the errors; without any, blocks of the logs are.
+    """
+    everything = (*logs, *validation)
+    sampled = sample(everything)
+    problem = Problem(sampled, mechanism, tuple(range(len(logs), len(everything))), hold_back=not validation)
+    library = {name: kind for name, kind in KINDS.items() if kind.screening is not None and mechanism.possible(name)}
+    search = Search(problem, library, progress)
+    progress("retuning", 0.03)
+    retuned = search.retune(mechanism.start)
+    alike = problem.like(retuned.residual())
+    if alike is not problem:
+        problem, search = alike, Search(alike, library, progress)
+        retuned = search.retune(retuned.theta)
+    # standard deviation (J,) [V] of a row's voltage noise, without what may be an effect
+    noise = np.sqrt([weights[0] for weights in search.noise_of(retuned.residual(), white_only=True)])
+    scale = mechanism.drive(mechanism.start).volts_per_torque * np.asarray(mechanism.torque_scale)
+    noise = np.clip(noise, FITTING.least_expected_noise * scale, FITTING.greatest_expected_noise * scale)
+    chosen = _validation(problem, len(everything))
+    predictor = Predictor(everything, mechanism, chosen, noise, sampled.position_noise)
+    return Prepared(everything, problem, library, search, retuned, predictor)
+
+
+def _validation(problem: Problem, logs: int) -> list[RowChoice]:
+    def choice(number: int) -> RowChoice:
+        rows = problem.segment == number
+        time, held = problem.sampled.time[problem.kept[rows]], problem.held[rows].astype(float)
+        return lambda t: np.interp(t, time, held) > 0.5
+
+    return [choice(number) for number in range(logs)]

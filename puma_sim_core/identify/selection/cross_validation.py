@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""Cross-validation: errors of models at rows that their parameters were not fitted to.
+
+A quarter of a log holds a few windows, and the luck of a few windows can be worse with the true structure than without
+it. So a log is cut into four folds, and each is predicted by the model with its parameters fitted to the other three
+(Stone 1974, J. R. Statist. Soc. B 36:111). One of them is the validation set of the selection as well. What happens in
+one fold only, such as a blow, can be fitted nowhere else: a parameter of which the other folds hold next to no
+information takes the value that the whole log gives it beside the parameters that they do determine. Logs that are
+given for validation as a whole are predicted as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
+from puma_sim_core.identify.fitting.predictor import Predictor, RowChoice
+from puma_sim_core.identify.noise.weighting import Weighting
+from puma_sim_core.identify.parallel import parallel_map
+from puma_sim_core.identify.result import Errors, StageErrors
+from puma_sim_core.identify.screening.problem import HELD_SHARE, Problem
+from puma_sim_core.identify.selection.validate import NoisePair, Validation, position_floor, rms
+from puma_sim_core.identify.settings import SELECTION
+from puma_sim_core.plant.plant import Plant
+
+#: folds of a log
+FOLDS = round(1.0 / HELD_SHARE)
+#: for each log of a problem which of its rows are of the validation set
+RowChoices = Callable[[Problem], Sequence[RowChoice]]
+
+
+@dataclass(frozen=True)
+class WeightedModel:
+    """A fitted model, and the weighting that it was fitted in."""
+
+    fitted: Fitted
+    weighting: Weighting
+
+    @property
+    def key(self) -> Hashable:
+        """Equal for models that are equal to the bit."""
+        w = self.weighting
+        return self.fitted.point.key, w.filters.tobytes(), w.scale.tobytes()
+
+
+@dataclass(frozen=True)
+class Fold:
+    """One fold. unseen : whether models come fitted without its rows."""
+
+    predictor: Predictor
+    validation: Validation
+    unseen: bool
+
+
+class CrossValidation:
+    """The rows of some logs that models are measured at. folds : without overlap."""
+
+    def __init__(self, folds: Sequence[Fold]):
+        self.folds = list(folds)
+        self._fitted: dict[Hashable, list[Point]] = {}
+
+    @classmethod
+    def of(cls, problem: Problem, predictor: Predictor, rows: RowChoices) -> CrossValidation:
+        """The folds of a problem whose blocks can be moved, else its one.
+
+        rows : gives the validation set of a problem.
+        """
+        folds = [Fold(predictor, Validation(problem, predictor), True)]
+        for k in range(1, FOLDS if problem.hold_back else 1):
+            moved = Problem(problem.sampled, problem.mechanism, (), True, (problem.place + k / FOLDS) % 1.0)
+            other = predictor.validated_at(rows(moved))
+            folds.append(Fold(other, Validation(moved, other), False))
+        return cls(folds)
+
+    def position_rms(self, model: WeightedModel) -> np.ndarray:
+        """(J,) errors [rad or m] in the open-loop windows of all folds, each with the model fitted to the other folds;
+        NaN without windows."""
+        return self._windows(self._points(model))
+
+    def lower(self, model: WeightedModel, than: WeightedModel) -> bool:
+        """Whether a model leaves less of the windows than another; without any window, nothing is
+        said against it."""
+        one, other = (float((self.position_rms(m) ** 2).mean()) for m in (model, than))
+        return not one >= other
+
+    def errors(
+        self, models: Mapping[str, WeightedModel | Point], floor: np.ndarray, noise: NoisePair
+    ) -> dict[str, Errors]:
+        """Tables of errors: "held_out" of all folds, and where there are several "unseen", of the one alone that the
+        selection has not seen either.
+
+        models : "nominal", "retuned", "augmented" -> the model, or a point that nothing was fitted to; floor (J,) :
+        noise of the residual [V]; noise : ((J,), (J,)), that of a row's voltage [V] and of a position [rad or m].
+        """
+        points = {
+            name: [m] * len(self.folds) if isinstance(m, Point) else self._points(m) for name, m in models.items()
+        }
+        tables = {"held_out": self._table(points, floor, noise)}
+        if len(self.folds) > 1:
+            first = {name: p[:1] for name, p in points.items()}
+            tables["unseen"] = self._table(first, floor, noise)
+        return tables
+
+    def unseen(self, point: Point) -> np.ndarray:
+        """(J,) errors [rad or m] of a model, as it is, in the windows that the selection has not seen."""
+        return self._windows([point])
+
+    def _table(self, points: Mapping[str, Sequence[Point]], floor: np.ndarray, noise: NoisePair) -> Errors:
+        """Errors of models, by their points of the first of the folds."""
+        lengths = np.concatenate(
+            [fold.validation.lengths("held_out") for fold, _ in zip(self.folds, points["augmented"])]
+        )
+        return Errors(
+            StageErrors(**{name: self._volts(p) for name, p in points.items()}, floor=floor),
+            StageErrors(
+                **{name: self._windows(p) for name, p in points.items()},
+                floor=position_floor(self.folds[0].predictor, lengths, *noise),
+            ),
+        )
+
+    def _points(self, model: WeightedModel) -> list[Point]:
+        """The model as fitted without each of the folds."""
+        point, names = model.fitted.point, model.fitted.names
+        if all(fold.unseen for fold in self.folds):
+            return [point] * len(self.folds)
+        if model.key in self._fitted:
+            return self._fitted[model.key]
+        whole = PredictionFit(self.folds[0].predictor, model.weighting)
+        jacobian = model.weighting(whole.derivatives(point, names))
+        p = jacobian.shape[2] - len(names)
+
+        def without(fold: Fold) -> Point:
+            if fold.unseen:
+                return point
+            information = jacobian[:, :, p:] ** 2
+            left = information[fold.predictor.fit_rows].sum(axis=0)
+            all_of_it = left + information[fold.predictor.validation_rows].sum(axis=0)
+            free = left >= SELECTION.least_information * all_of_it
+            columns = np.r_[np.ones(p, dtype=bool), free]
+            found = PredictionFit(fold.predictor, model.weighting).run(
+                point,
+                (),
+                jacobian=jacobian[fold.predictor.fit_rows][:, columns],
+                frozen=tuple(pair for pair, is_free in zip(names, free) if is_free),
+                rounds=SELECTION.fold_rounds,
+            )
+            if found is None:
+                return point
+            if free.all():
+                return found.point
+            return _completed(whole, model.fitted, jacobian[whole.rows], columns, found.point)
+
+        found = self._fitted[model.key] = parallel_map(without, self.folds)
+        return found
+
+    def _plant(self, point: Point) -> Plant:
+        return self.folds[0].predictor.mechanism.plant(point.theta, point.effects)
+
+    def _windows(self, points: Sequence[Point]) -> np.ndarray:
+        """(J,) errors [rad or m] in the windows of the first of the folds."""
+        pairs = zip(self.folds, points)
+        return rms(np.concatenate([fold.validation.window_errors(self._plant(at), "held_out") for fold, at in pairs]))
+
+    def _volts(self, points: Sequence[Point]) -> np.ndarray:
+        """(J,) residual [V] on the validation sets of the first of the folds."""
+        pairs = list(zip(self.folds, points))
+        volts = parallel_map(lambda pair: pair[0].validation.volts(self._plant(pair[1])), pairs)
+        return rms(np.concatenate(volts), np.concatenate([fold.predictor.validation_rows for fold, _ in pairs]))
+
+
+def _completed(fit: PredictionFit, whole: Fitted, jacobian: np.ndarray, free: np.ndarray, point: Point) -> Point:
+    """A model without one fold, its other parameters where the whole log has them beside those that are free in it: a
+    limit of the current follows the drive's constants.
+
+    fit, whole : the fit to the whole log, and what came of it; jacobian (N', p + c) : its derivatives after whitening;
+    free (p + c,); point : the model whose free parameters were fitted.
+    """
+    names = whole.names
+    sizes = fit.sizes(whole.point, names)
+    _, precision = fit.prior(whole.point, names)
+    normal = jacobian.T @ jacobian + np.diag(np.r_[np.ones(len(free) - len(names)), precision])
+    moved = fit.step_to(whole.point, point, names, sizes)
+    step = np.zeros(len(free))
+    step[~free] = -np.linalg.solve(normal[np.ix_(~free, ~free)], normal[np.ix_(~free, free)] @ moved[free])
+    return fit.stepped(point, step, names, sizes) or point

@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""Backward elimination: chosen effects, fitted again with the later ones in the model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TypeVar
+
+from puma_sim_core.effects import Effect, Kind
+from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
+from puma_sim_core.identify.fitting.trials import Key, Trial, Trials
+from puma_sim_core.identify.selection.state import Chosen, SelectionState, Stage, accepting
+from puma_sim_core.identify.settings import SELECTION
+
+Item = TypeVar("Item")
+
+
+class Elimination:
+    """Removes and replaces chosen effects of one problem. library : name -> effect."""
+
+    def __init__(self, trials: Trials, library: Mapping[str, Kind]):
+        self.predictor = trials.predictor
+        self.trials = trials
+        self.library = library
+
+    def eliminate(self, state: SelectionState) -> SelectionState:
+        """Remove effects that the later ones made needless, or replace one by a rival. A pass."""
+        for number in range(len(state.chosen) - 1):
+            changed = self._without_or_replaced(state, number)
+            if changed is not None:
+                return changed
+        return state
+
+    def simplify(self, state: SelectionState) -> SelectionState:
+        """Replace effects that come out as one that they contain, with all others in the model, by it: when they were
+        tried, its fit may not have come to its end. Where that shows, the other effects that contain it are fitted to
+        their end, too. A pass."""
+        for number in range(len(state.chosen)):
+            state = self._simplified(state, number)
+        return state
+
+    def _without_or_replaced(self, state: SelectionState, number: int) -> SelectionState | None:
+        """The state without one of its effects, or with a rival in its place; None where it stays."""
+        fit, point, chosen = PredictionFit(self.predictor, state.noise), state.model.point, state.chosen[number]
+        rest = _less(state.chosen, number)
+        pairs = self.trials.free(point)
+        jacobian = fit.white(fit.derivatives(point, pairs))
+        full = fit.run(point, (), jacobian=jacobian, frozen=pairs)
+        without = Point(point.theta, _less(point.effects, number))
+        frozen = self.trials.free(without)
+        first = len(point.theta)
+        own = [first + k for k, (n, _) in enumerate(pairs) if n == number]
+        others = jacobian[:, [c for c in range(jacobian.shape[1]) if c not in own]]
+        bare = fit.run(without, (), jacobian=others, frozen=frozen)
+        if bare is None or full is None:
+            return None
+        if bare.objective - full.objective - chosen.occam < SELECTION.least_gain:
+            return self.eliminate(replace(state, model=bare, jacobian=None, chosen=rest))
+        best: tuple[float, Trial, Fitted] | None = None
+        for rival in self._rivals(state, chosen.key):
+            effect = rival.effect
+            moved = Point(bare.point.theta, (*bare.point.effects, effect))
+            free = [(len(rest), name) for name in self.trials.names(effect, effect.values)]
+            tried = fit.run(moved, free, jacobian=others, frozen=frozen)
+            if tried is None or self.trials.implausible(tried.point.effects[-1]):
+                continue
+            gain = full.objective - tried.objective - rival.occam + chosen.occam
+            if gain > SELECTION.replacement_gain and (best is None or gain > best[0]):
+                best = gain, rival, tried
+        if best is None:
+            return None
+        _, rival, tried = best
+        gain = bare.objective - tried.objective - rival.occam
+        new = Chosen.of(rival, state.history, accepting(state.history, chosen.key), gain)
+        return replace(state, model=tried, jacobian=None, chosen=(*rest, new))
+
+    def _simplified(self, state: SelectionState, number: int) -> SelectionState:
+        """The state with the simpler of an effect and those that it contains."""
+        contained = self._contained(state, state.keys[number])
+        if not contained:
+            return state
+        fit, chosen, start = PredictionFit(self.predictor, state.noise), state.chosen[number], state.model.point
+
+        def exact(about: Point, trial: Trial, effect: Effect) -> tuple[Fitted, Trial]:
+            at = Point(about.theta, (*about.effects[:number], effect, *about.effects[number + 1 :]))
+            return fit.to_end(at, self.trials.free(at))[0], trial
+
+        stage = chosen.stage
+        own = next(t for t in stage.trials if t.key == chosen.key)
+        first = best = exact(start, own, start.effects[number])
+        full = first[0].point
+        # from what was tried, and with what the two have in common as it is now
+        simpler = min(
+            (
+                exact(full, t, effect)
+                for t in contained
+                for effect in (t.effect, _alike(t.effect, full.effects[number]))
+            ),
+            key=lambda pair: pair[0].objective,
+        )
+        promised = own.gain + own.occam - simpler[1].gain - simpler[1].occam
+        if abs(simpler[0].objective - first[0].objective - promised) > SELECTION.unfinished:
+            others = (exact(full, t, t.effect) for t in self._containing(state, stage, simpler[1]))
+            best = min(
+                (first, *(pair for pair in others if not self.trials.implausible(pair[0].point.effects[number]))),
+                key=lambda pair: pair[0].objective + pair[1].occam,
+            )
+        lost = simpler[0].objective - best[0].objective
+        less = best[1].occam - simpler[1].occam
+        fitted, trial = simpler if lost < max(SELECTION.parsimony, less + SELECTION.exact * chosen.gain) else best
+        if trial is own:
+            return state
+        gain = chosen.gain + first[0].objective - fitted.objective + own.occam - trial.occam
+        new = Chosen.of(trial, state.history, stage, gain)
+        chosen_now = (*state.chosen[:number], new, *state.chosen[number + 1 :])
+        return replace(state, model=fitted, jacobian=None, chosen=chosen_now)
+
+    def _contained(self, state: SelectionState, key: Key) -> list[Trial]:
+        """Trials, beside the one by which an effect was accepted, of the effects that it contains."""
+        stage, kind = accepting(state.history, key), self.library[key[0]]
+        if stage is None or kind.screening is None or kind.screening.generous:
+            return []
+        return [t for t in _open(stage, state.keys) if t.joint == key[1] and t.name in kind.contains]
+
+    def _containing(self, state: SelectionState, stage: Stage, simpler: Trial) -> list[Trial]:
+        """Trials of a stage, on the joint of a simpler one, of the effects that contain it."""
+        return [t for t in _open(stage, state.keys) if t.joint == simpler.joint and self._contains(t, simpler.name)]
+
+    def _rivals(self, state: SelectionState, key: Key) -> list[Trial]:
+        """Trials beside the one by which an effect was accepted that may take its place: the best, and those that
+        contain it."""
+        stage = accepting(state.history, key)
+        if stage is None or stage.accepted is None:
+            return []
+        least = SELECTION.rival_share * stage.accepted.gain
+        near = [t for t in _open(stage, state.keys) if t.gain > least]
+        return [
+            t for n, t in enumerate(near) if n < SELECTION.rivals or (t.joint == key[1] and self._contains(t, key[0]))
+        ]
+
+    def _contains(self, trial: Trial, name: str) -> bool:
+        """Whether the effect of a trial contains another one."""
+        return name in self.library[trial.name].contains
+
+
+def _open(stage: Stage, keys: tuple[Key, ...]) -> list[Trial]:
+    """Trials of a stage that may be named and are not chosen."""
+    return [t for t in stage.trials if t.possible and t.key not in keys]
+
+
+def _less(items: tuple[Item, ...], number: int) -> tuple[Item, ...]:
+    """All items but one."""
+    return (*items[:number], *items[number + 1 :])
+
+
+def _alike(effect: Effect, other: Effect) -> Effect:
+    """An effect with the values of those parameters that it shares with another."""
+    own = {p.name: p for p in effect.kind.parameters}
+    shared = {
+        name: min(max(value, own[name].low), own[name].high)
+        for name, value in other.values.items()
+        if name in effect.values
+    }
+    return Effect(effect.kind, effect.joint, {**effect.values, **shared})

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""Trials whose fit ended in a local minimum, fitted again from where a better one is (multi-start).
+
+Each method is a pass: it takes a state of the selection and gives one with other trials.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+from puma_sim_core.effects import Effect, Kind
+from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
+from puma_sim_core.identify.fitting.trials import Trial, Trials
+from puma_sim_core.identify.parallel import parallel_map
+from puma_sim_core.identify.selection.state import SelectionState
+from puma_sim_core.identify.settings import SELECTION
+
+
+class Refits:
+    """Fits trials of one problem again. library : name -> effect."""
+
+    def __init__(self, trials: Trials, library: Mapping[str, Kind]):
+        self.trials = trials
+        self.predictor = trials.predictor
+        self.library = library
+
+    def from_nested(self, state: SelectionState) -> SelectionState:
+        """Trials that fit worse than an effect that they contain start from the parameters of that one."""
+
+        def again(trial: Trial) -> Trial:
+            simpler = self._simpler(trial, state.trials)
+            if trial.fitted is None or simpler is None or trial.fitted.objective <= simpler.objective:
+                return trial
+            start = Point(simpler.point.theta, trial.fitted.point.effects)
+            return self._better(state, trial, simpler.point, start)
+
+        return _with_trials(state, again)
+
+    def from_previous(self, state: SelectionState) -> SelectionState:
+        """Trials that gain less than in the stage before, on another joint than what was accepted there, start from
+        where they were then: a limit acts where its value is, and the screening may have it where nothing shows."""
+        if not state.history:
+            return state
+        stage, base = state.history[-1], state.model.point
+        before = {
+            t.key: t
+            for t in stage.trials
+            if stage.accepted is not None
+            and t.joint != stage.accepted.joint
+            and t.problem is None
+            and t.gain > SELECTION.least_gain
+        }
+
+        def again(trial: Trial) -> Trial:
+            then = before.get(trial.key)
+            if then is None or trial.gain >= then.gain:
+                return trial
+            theta = then.model.point.theta
+            start = Point(theta, (*base.effects, then.effect))
+            return self._better(state, trial, Point(theta, base.effects), start)
+
+        return _with_trials(state, again)
+
+    def from_usual(self, state: SelectionState) -> SelectionState:
+        """Trials that came out as no more than an effect that they contain start from that one, with a shape as
+        machines have it."""
+
+        def again(trial: Trial) -> Trial:
+            screening = self.library[trial.name].screening
+            usual = None if screening is None else screening.usual
+            simpler = self._simpler(trial, state.trials)
+            if (
+                usual is None
+                or trial.fitted is None
+                or simpler is None
+                or trial.fitted.objective < simpler.objective - SELECTION.no_more
+            ):
+                return trial
+            *others, inner = simpler.point.effects
+            last, theta = trial.effect, simpler.point.theta
+            effect = Effect(last.kind, last.joint, {**last.values, **usual(inner.values["torque"])})
+            return self._better(state, trial, Point(theta, tuple(others)), Point(theta, (*others, effect)))
+
+        return _with_trials(state, again)
+
+    def polished(self, state: SelectionState) -> SelectionState:
+        """Trials near the best are fitted to their end, with all derivatives about themselves; the best by itself only
+        where the validation set speaks against it as it is."""
+        possible = [t for t in state.trials if t.problem is None]
+        top = max((t.gain for t in possible), default=0.0)
+        if top < SELECTION.worth_polishing:
+            return state
+        near = sorted((t for t in possible if t.gain > SELECTION.near_best * top), key=lambda t: -t.gain)
+        near = near[: SELECTION.most_polished]
+        if len(near) < 2 and near[0].validation_gain > 0.0:
+            return state
+        fit = PredictionFit(self.predictor, state.noise)
+        first = len(state.model.names)
+
+        def polish(trial: Trial) -> Trial:
+            if trial not in near:
+                return trial
+            fitted, before = trial.model, trial.model.objective
+            pairs = (*state.model.names, *fitted.names[first:])
+            for _ in range(1 if fitted.point.two_mass else SELECTION.polishings):
+                raw = fit.derivatives(fitted.point, pairs, state.nearby)
+                fitted = fit.linear(fitted.point, pairs, raw, rounds=SELECTION.polishing_rounds)
+                if before - fitted.objective < SELECTION.polished:
+                    break
+                before = fitted.objective
+            return self.trials.judged(fit, state.model, trial.scored, fitted)
+
+        return _with_trials(state, polish)
+
+    def rebased(self, state: SelectionState) -> SelectionState:
+        """The model is fitted on from where the trials' parameters lead to, where that is better: what they gain
+        without the effects that were tried is no gain of those."""
+        fit = PredictionFit(self.predictor, state.noise)
+        found: list[tuple[float, int, Point]] = []
+        for t in state.trials:
+            if t.fitted is not None:
+                point = Point(t.fitted.point.theta, t.fitted.point.effects[:-1])
+                errors = fit.errors(point)
+                if errors is not None:
+                    found.append((fit.objective(errors, point), len(found), point))
+        if not found or min(found)[0] >= state.model.objective:
+            return state
+        model, jacobian = fit.to_end(min(found)[2], state.model.names, near=state.jacobian)
+        less = state.model.objective - model.objective
+
+        def over(trial: Trial) -> Trial:
+            if trial.fitted is None:
+                return trial
+            validation_gain = self.trials.validation_gain(fit, model, trial.fitted, trial.gain)
+            return replace(trial, gain=trial.gain - less, validation_gain=validation_gain)
+
+        return replace(state, model=model, jacobian=jacobian, trials=tuple(map(over, state.trials)))
+
+    def _simpler(self, trial: Trial, trials: tuple[Trial, ...]) -> Fitted | None:
+        """The best fit of an effect that a trial contains, on its joint."""
+        contains = self.library[trial.name].contains
+        fits = (t.fitted for t in trials if t.fitted is not None and t.joint == trial.joint and t.name in contains)
+        return min(fits, key=lambda f: f.objective, default=None)
+
+    def _better(self, state: SelectionState, trial: Trial, about: Point, start: Point) -> Trial:
+        """A trial, or that from another start with derivatives about a point, by their gains."""
+        fit = PredictionFit(self.predictor, state.noise)
+        jacobian = fit.derivatives(about, state.model.names, state.nearby)
+        found = self.trials.run(self.trials.base(state.model, state.noise, jacobian), trial.scored, start)
+        return max(trial, found, key=lambda t: t.gain)
+
+
+def _with_trials(state: SelectionState, again: Callable[[Trial], Trial]) -> SelectionState:
+    """A state with each of its trials made anew."""
+    return replace(state, trials=tuple(parallel_map(again, state.trials)))

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""The state of the selection: a value that each pass takes and gives back changed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from puma_sim_core.identify.fitting.prediction import Fitted
+from puma_sim_core.identify.fitting.trials import Key, Trial
+from puma_sim_core.identify.noise.weighting import Weighting
+from puma_sim_core.identify.selection.cross_validation import WeightedModel
+from puma_sim_core.identify.settings import SELECTION
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A completed stage of the selection.
+
+    trials : best first; threshold [nat] : of a name, by chance; base : the model that gains are over; accepted : the
+    trial that the log asks for, None without; first : by joint (1-based; None: the whole arm) the gain [nat] of the
+    effect that was accepted first, of which a further one must reach a share.
+    """
+
+    trials: tuple[Trial, ...]
+    threshold: float
+    base: Fitted
+    accepted: Trial | None = None
+    first: Mapping[int | None, float] = field(default_factory=dict)
+
+    def needed(self, joint: int | None) -> float:
+        """Least gain [nat] of a name on a joint (1-based; None: the whole arm)."""
+        return max(self.threshold, SELECTION.least_share * self.first.get(joint, 0.0))
+
+    def needed_untried(self, joint: int | None) -> float:
+        """Least gain [nat] of a name that does not act on the validation set."""
+        return max(self.needed(joint), SELECTION.least_untried, SELECTION.untried_share * self.first.get(joint, 0.0))
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """An effect of the model.
+
+    key : (name, joint); occam [nat] : Occam factor of its parameters; stage : the one in which it, or the effect that
+    it replaced, was accepted; gain [nat] : of log evidence over the model without it, when it entered.
+    """
+
+    key: Key
+    occam: float
+    stage: Stage
+    gain: float
+
+    @classmethod
+    def of(cls, trial: Trial, history: tuple[Stage, ...], stage: Stage | None = None, gain: float = 0.0) -> Chosen:
+        """The effect of a trial with the gain by which it was accepted; of one that never was, and so replaces
+        another, the stage of that one and the gain over the model without it."""
+        own = accepting(history, trial.key)
+        if own is not None and own.accepted is not None:
+            return cls(trial.key, trial.occam, own, own.accepted.gain)
+        assert stage is not None
+        return cls(trial.key, trial.occam, stage, gain)
+
+    @property
+    def trial(self) -> Trial:
+        """Its trial in the stage, with the gain that it has."""
+        return replace(next(t for t in self.stage.trials if t.key == self.key), gain=self.gain)
+
+
+@dataclass(frozen=True)
+class SelectionState:
+    """What the selection has come to.
+
+    model : the fitted model; jacobian (N, J, p + c) : derivatives of the innovations about it before whitening, by the
+    parameters of the mechanism and `model.names`, None where the model has changed since; noise : the weighting of
+    the innovations; chosen : the effects of the model, in its order; history : the stages so far; trials : those of
+    the present stage; retuned : the model with its parameters fitted and no effect, None before the first stage;
+    retracted : effects that were taken out at the end, since they do not lower the validation error.
+    """
+
+    model: Fitted
+    jacobian: np.ndarray | None
+    noise: Weighting
+    chosen: tuple[Chosen, ...] = ()
+    history: tuple[Stage, ...] = ()
+    trials: tuple[Trial, ...] = ()
+    retuned: Fitted | None = None
+    retracted: tuple[Key, ...] = ()
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """(name, joint) of the chosen effects."""
+        return tuple(chosen.key for chosen in self.chosen)
+
+    @property
+    def derivatives(self) -> np.ndarray:
+        """`jacobian` of a model that was fitted."""
+        assert self.jacobian is not None
+        return self.jacobian
+
+    @property
+    def nearby(self) -> np.ndarray | None:
+        """Derivatives by the parameters that may stand for those about a trial: from one two-mass model to another
+        they change little. None where they may not."""
+        return self.jacobian if self.model.point.two_mass else None
+
+    @property
+    def best(self) -> Trial | None:
+        """The trial of a possible effect with the greatest gain, None without any."""
+        return max((t for t in self.trials if t.problem is None), key=lambda t: t.gain, default=None)
+
+    @property
+    def weighted(self) -> WeightedModel:
+        """The model with its weighting."""
+        return WeightedModel(self.model, self.noise)
+
+    @property
+    def weighted_retuned(self) -> WeightedModel:
+        """The model without effects, in the same weighting."""
+        assert self.retuned is not None
+        return WeightedModel(self.retuned, self.noise)
+
+
+def accepting(history: tuple[Stage, ...], key: Key) -> Stage | None:
+    """The first stage that accepted an effect, None without."""
+    return next((stage for stage in history if stage.accepted is not None and stage.accepted.key == key), None)
