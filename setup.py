@@ -70,6 +70,7 @@ setup(
         "fast": ["numba"],
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
         "plot": ["matplotlib"],
+        "lint": ["ruff>=0.17", "mypy>=2.4", "import-linter>=2.16", "codespell>=2.4"],
         "test": [
             "pytest",
             "pytest-timeout",
