@@ -54,7 +54,11 @@ setup(
     # puma_sim_core.resources looks for it
     packages=[*find_packages(include=["puma_sim_core*", "puma_sim_ros*"]), "puma_sim_core.config"],
     package_dir={"puma_sim_core.config": "config"},
-    package_data={"puma_sim_core.config": [path.relative_to(ROOT / "config").as_posix() for path in CONFIG_FILES]},
+    package_data={
+        "puma_sim_core": ["py.typed"],
+        "puma_sim_ros": ["py.typed"],
+        "puma_sim_core.config": [path.relative_to(ROOT / "config").as_posix() for path in CONFIG_FILES],
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -66,6 +70,7 @@ setup(
         "fast": ["numba"],
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
         "plot": ["matplotlib"],
+        "lint": ["ruff>=0.17", "mypy>=2.4", "import-linter>=2.16", "codespell>=2.4"],
         "test": [
             "pytest",
             "pytest-timeout",
