@@ -17,6 +17,8 @@ logs, which the reports need. A recording has a folder for each part:
 Each part has an index.json with the sha256 of its files. A recording made with --quick has some of
 the files of a full one; the two can be compared. `compare` ends with 1 where a file differs.
 
+With --apart-from-prose a text of several words may differ, apart from those that are results.
+
 What was left out because it differs between two recordings of the same code: `seconds` of
 report.json, which is time as measured. The results of the thesis are written without such times.
 """
@@ -29,6 +31,7 @@ import importlib
 import json
 import math
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -611,6 +614,27 @@ def record(options: argparse.Namespace) -> int:
 WRITERS = {"effects": record_effects, "bags": record_bags, "reports": record_reports, "thesis": record_thesis}
 
 
+#: keys whose text is a result, whatever words are in it
+RESULTS = ("axis", "command", "ours", "printed")
+
+
+def is_sentence(value, key: str) -> bool:
+    """Whether a value of JSON is prose: several words, one of them not of digits."""
+    return isinstance(value, str) and key not in RESULTS and re.search(r"[A-Za-z]{2}", value) and " " in value
+
+
+def first_difference(a, b) -> int:
+    """Where two sequences begin to differ."""
+    return next((n for n, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))
+
+
+def both_shown(one, other) -> str:
+    """Two values from shortly before the place where their JSON begins to differ."""
+    texts = [json.dumps(each, ensure_ascii=False) for each in (one, other)]
+    first = max(first_difference(*texts) - 20, 0)
+    return " and ".join(f"{'...' if first else ''}{text[first : first + 80]}" for text in texts)
+
+
 def differing_paths(one, other, prose: bool, where: str = "") -> Iterator[str]:
     """Where two JSON values differ, as lines; prose: whether sentences count."""
     if isinstance(one, dict) and isinstance(other, dict):
@@ -627,9 +651,9 @@ def differing_paths(one, other, prose: bool, where: str = "") -> Iterator[str]:
         for n, (a, b) in enumerate(zip(one, other, strict=False)):
             yield from differing_paths(a, b, prose, f"{where}/{n}")
     elif json.dumps(one) != json.dumps(other):
-        sentences = all(isinstance(each, str) and " " in each for each in (one, other))
-        if prose or not sentences:
-            yield f"{where}: {json.dumps(one)[:90]} and {json.dumps(other)[:90]}"
+        key = where.rpartition("/")[2]
+        if prose or not (is_sentence(one, key) and is_sentence(other, key)):
+            yield f"{where}: {both_shown(one, other)}"
 
 
 def differences(one: Path, other: Path, prose: bool) -> list[str]:
@@ -653,8 +677,7 @@ def differences(one: Path, other: Path, prose: bool) -> list[str]:
         for n, (x, y) in enumerate(lines):
             if x != y:
                 return [f"line {n + 1}: {x.strip()[:90]} and {y.strip()[:90]}"]
-    at = next((n for n, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))
-    return [f"{len(a)} and {len(b)} bytes, the first difference is at byte {at}"]
+    return [f"{len(a)} and {len(b)} bytes, the first difference is at byte {first_difference(a, b)}"]
 
 
 def compare(options: argparse.Namespace) -> int:
