@@ -66,6 +66,7 @@ setup(
         "fast": ["numba"],
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
         "plot": ["matplotlib"],
+        "docs": ["sphinx>=7", "myst-parser"],
         "test": [
             "pytest",
             "pytest-timeout",

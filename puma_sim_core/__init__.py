@@ -110,7 +110,7 @@ _SOURCES = {
     for name, _, public in (entry.partition(":") for entry in text.split())
 }
 
-__all__ = sorted(_SOURCES)
+__all__ = list(_SOURCES)
 
 
 def __getattr__(name: str) -> object:
@@ -125,4 +125,4 @@ def __getattr__(name: str) -> object:
 
 def __dir__() -> list[str]:
     """The public names alone."""
-    return list(__all__)
+    return sorted(__all__)
