@@ -45,21 +45,25 @@ def pages_with(*marks: str) -> list[Path]:
     return [page for page in PAGES if any(block.mark in marks for block in blocks_of(page))]
 
 
+def with_command(programs: Path) -> dict[str, str]:
+    """An environment in which `puma-sim` is that of this checkout."""
+    programs.mkdir()
+    command = programs / "puma-sim"
+    command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m puma_sim_core "$@"\n', encoding="utf-8")
+    command.chmod(0o755)
+    return {
+        **os.environ,
+        "PATH": os.pathsep.join((str(programs), os.environ["PATH"])),
+        "PYTHONPATH": os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH")))),
+    }
+
+
 def run_blocks(page: Path, folder: Path, marks: tuple[str, ...]) -> None:
     """Run the blocks of a page that have one of the marks, in a folder with the examples."""
     for path in EXAMPLES.iterdir():
         if path.is_file():
             shutil.copy(path, folder)
-    programs = folder / ".programs"
-    programs.mkdir()
-    command = programs / "puma-sim"
-    command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m puma_sim_core "$@"\n', encoding="utf-8")
-    command.chmod(0o755)
-    environment = {
-        **os.environ,
-        "PATH": os.pathsep.join((str(programs), os.environ["PATH"])),
-        "PYTHONPATH": os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH")))),
-    }
+    environment = with_command(folder / ".programs")
     for block in blocks_of(page):
         if block.mark in marks:
             program = ["bash", "-euc"] if block.kind == "bash" else [sys.executable, "-c"]
@@ -131,3 +135,45 @@ def test_the_site_builds_without_warnings(tmp_path):
         text=True,
     )
     assert ran.returncode == 0, ran.stderr
+
+
+@pytest.mark.long
+@pytest.mark.timeout(600)
+def test_the_example_of_the_command_line_runs(tmp_path):
+    out = tmp_path / "report"
+    ran = subprocess.run(
+        ["bash", str(EXAMPLES / "explain.sh"), str(out)],
+        env=with_command(tmp_path / "programs"),
+        capture_output=True,
+        text=True,
+    )
+    assert ran.returncode == 0, ran.stderr
+    assert "coulomb_friction" in ran.stdout
+    assert (out / "run.csv").exists()
+
+
+def test_the_example_in_python_runs():
+    ran = subprocess.run(
+        [sys.executable, str(EXAMPLES / "simulate.py")],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+    )
+    assert ran.returncode == 0, ran.stderr
+    assert "coulomb_friction" in ran.stdout
+
+
+def test_the_example_over_topics_runs():
+    pytest.importorskip("rclpy")
+    from ros_support import Node, environment
+
+    with Node() as node:
+        ran = subprocess.run(
+            [sys.executable, str(EXAMPLES / "topics.py"), "--ros-args", "-r", f"__ns:={node.namespace}"],
+            env=environment(),
+            capture_output=True,
+            text=True,
+            timeout=60,
+        )
+    assert ran.returncode == 0, ran.stderr
+    assert "position after 50 states" in ran.stdout
