@@ -39,12 +39,13 @@ INSTALLED := $(VENV)/.installed$(if $(NUMPY),-numpy-$(NUMPY))
 CANDIDATES := python3.12 python3.11 python3 python3.13 python3.10
 SUITABLE := import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 10))
 
-.PHONY: help run loop test score bench colcon js-readers clean distclean same-python
+.PHONY: help run loop test docs score bench colcon js-readers clean distclean same-python
 
 help:
 	@echo "make run         move the simulated arm down a vertical line over ROS 2, record, replay"
 	@echo "make loop        record a session with a hidden effect, and find and name it from the bag"
 	@echo "make test        run the tests"
+	@echo "make docs        build the documentation site in build/docs; warnings are errors"
 	@echo "make score       explain fresh blind records, print how often that is right (an hour)"
 	@echo "make bench       speed beside other simulators (in its own environment, $(BENCH_VENV))"
 	@echo "make colcon      build with colcon, run the installed node with an external controller"
@@ -123,6 +124,14 @@ test: $(INSTALLED)
 	    export PUMA_SIM_NODE_MODULES="$${PUMA_SIM_NODE_MODULES:-$(CURDIR)/build/js/node_modules}"; \
 	fi; \
 	$(BIN)/python -m pytest -q --timeout=$(TEST_TIMEOUT) $(PYTEST_ARGS)
+
+$(VENV)/.docs: $(INSTALLED)
+	@$(PIP_INSTALL) -e '.[docs]' > $(VENV)/docs.log 2>&1 || { cat $(VENV)/docs.log; exit 1; }
+	@touch $@
+
+docs: $(VENV)/.docs
+	@$(BIN)/python -m sphinx -q -W --keep-going -b html docs build/docs
+	@echo "Documentation: build/docs/index.html"
 
 # Outcomes are kept in build/score: a batch that was interrupted goes on where it stopped.
 score: $(INSTALLED)

@@ -71,6 +71,7 @@ setup(
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
         "plot": ["matplotlib"],
         "lint": ["ruff>=0.17", "mypy>=2.4", "import-linter>=2.16", "codespell>=2.4"],
+        "docs": ["sphinx>=7", "myst-parser"],
         "test": [
             "pytest",
             "pytest-timeout",

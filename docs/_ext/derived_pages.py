@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""Pages that are derived from the code at each build: effects, equations, API reference."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import puma_sim_core as ps
+from puma_sim_core.effects import KINDS
+
+DOCS = Path(__file__).resolve().parents[1]
+CORE = DOCS.parent / "puma_sim_core"
+#: what the docstrings call an equation or table of the thesis: "equation 4.1", "equations 7.5 to 7.7"
+_REFERENCE = re.compile(r"\b(equations?|tables?) (\d\.\d+(?:(?:, | and | to )\d\.\d+)*)")
+
+
+def effects_page() -> str:
+    """One section for each effect of the registry."""
+    lines = [
+        "# Effects",
+        "",
+        "Made from the registry `puma_sim_core.effects.KINDS`. `puma-sim list` prints the same.",
+        "",
+        "| effect | acts on | in one sentence |",
+        "|---|---|---|",
+    ]
+    lines += [f"| [{k.name}](#{_anchor(k.name)}) | {k.acts} | {_cell(k.sentence)} |" for k in KINDS.values()]
+    for kind in KINDS.values():
+        lines += ["", f"({_anchor(kind.name)})=", f"## `{kind.name}`", "", kind.sentence, "", *_literal(kind.equation)]
+        where = "one joint" if kind.per_joint else "the whole arm"
+        lines += ["", f"Acts on the {kind.acts} of {where}.", "", "| parameter | unit | bounds | default | meaning |"]
+        lines += ["|---|---|---|---|---|"]
+        for p in kind.parameters:
+            default = "required" if p.default is None and p.from_arm is None else "from the arm"
+            default = default if p.default is None else f"{p.default:g}"
+            lines.append(f"| `{p.name}` | {p.unit} | {p.low:g} to {p.high:g} | {default} | {_cell(p.meaning)} |")
+        screening = kind.screening
+        if screening is None:
+            lines += ["", "`explain` does not look for this effect: it is simulated only."]
+            continue
+        lines += ["", f"**Excitation.** {screening.excitation}"]
+        if screening.look_alikes:
+            lines += ["", "| look-alike | what tells the two apart |", "|---|---|"]
+            lines += [f"| `{name}` | {_cell(difference)} |" for name, difference in screening.look_alikes]
+    return "\n".join(lines) + "\n"
+
+
+def equations_page() -> str:
+    """Equations and tables of the thesis with the definitions whose docstrings name them."""
+    found: dict[tuple, list[tuple[str, str]]] = {}
+    for path in sorted(CORE.rglob("*.py")):
+        module = ".".join(path.relative_to(CORE.parent).with_suffix("").parts).removesuffix(".__init__")
+        for name, docstring in _docstrings(path):
+            for kind, numbers in _REFERENCE.findall(" ".join(docstring.split())):
+                place = f"{module}.{name}" if name else module
+                for number in _numbers(numbers):
+                    entry = (docstring.split("\n")[0].strip(), place)
+                    rows = found.setdefault((kind.rstrip("s"), number), [])
+                    if entry not in rows:
+                        rows.append(entry)
+    lines = [
+        "# Equations",
+        "",
+        "Made from the docstrings that name an equation or a table of the thesis. The symbols are those of "
+        "[the model](model.md). Misprints: `puma-sim thesis errata`.",
+    ]
+    for what in ("equation", "table"):
+        lines += ["", f"## {what.capitalize()}s of the thesis", "", "| number | computed by | what it is |"]
+        lines += ["|---|---|---|"]
+        for (kind, number), rows in sorted(found.items(), key=lambda item: _order(item[0][1])):
+            if kind == what:
+                lines += [f"| {number} | `{place}` | {_cell(summary)} |" for summary, place in rows]
+    return "\n".join(lines) + "\n"
+
+
+def api_page() -> str:
+    """Reference of the public names, in the order of `puma_sim_core`."""
+    lines = ["# API reference", "", "The names of `import puma_sim_core as ps`. Each is imported at its first use.", ""]
+    for module, text in ps._PUBLIC.items():
+        lines += [f"## `puma_sim_core.{module}`", ""]
+        for entry in text.split():
+            name, _, public = entry.partition(":")
+            value = getattr(ps, public or name)
+            directive = "autoclass" if isinstance(value, type) else "autofunction"
+            lines += [f"### `ps.{public or name}`", "", "```{eval-rst}"]
+            lines += [f".. {directive}:: puma_sim_core.{module}.{name}"]
+            lines += ["   :members:"] if directive == "autoclass" and not issubclass(value, tuple) else []
+            lines += ["```", ""]
+    return "\n".join(lines)
+
+
+def _docstrings(path: Path):
+    """(qualified name, docstring) of a module and of all that it defines."""
+
+    def walk(node, prefix):
+        for child in ast.iter_child_nodes(node):
+            if isinstance(child, (ast.FunctionDef, ast.ClassDef)):
+                name = f"{prefix}{child.name}"
+                yield name, ast.get_docstring(child) or ""
+                yield from walk(child, f"{name}.")
+
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    yield "", ast.get_docstring(tree) or ""
+    yield from walk(tree, "")
+
+
+def _numbers(text: str) -> list[str]:
+    """["7.5", "7.6", "7.7"] of "7.5 to 7.7"."""
+    numbers = re.findall(r"\d\.\d+", text)
+    if " to " not in text:
+        return numbers
+    return [f"{numbers[0]} to {numbers[-1]}"]
+
+
+def _order(number: str) -> tuple:
+    return tuple(int(part) for part in re.findall(r"\d+", number))
+
+
+def _anchor(name: str) -> str:
+    return "effect-" + name.replace("_", "-")
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|").replace("*", "\\*").replace("\n", " ")
+
+
+def _literal(text: str) -> list[str]:
+    return ["```text", text, "```"]
+
+
+def setup(app):
+    """Write the pages before Sphinx reads its sources."""
+
+    def write(_app):
+        for name, page in (("effects", effects_page), ("equations", equations_page), ("api", api_page)):
+            path, text = DOCS / f"{name}.md", page()
+            if not path.exists() or path.read_text(encoding="utf-8") != text:
+                path.write_text(text, encoding="utf-8")
+
+    app.connect("builder-inited", write)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

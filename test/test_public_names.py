@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""`import puma_sim_core as ps` gives the public names, and imports nothing heavy before one is used."""
+
+from __future__ import annotations
+
+import ast
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import puma_sim_core as ps
+from puma_sim_core.simulation.simulator import Simulator
+
+ROOT = Path(__file__).resolve().parents[1]
+HEAVY = ("numpy", "scipy", "numba", "yaml", "mcap", "rosbags", "matplotlib")
+
+
+def modules_after(program: str) -> list[str]:
+    """Heavy modules that a fresh interpreter has after a program."""
+    program += f"; import json, sys; print(json.dumps([m for m in {HEAVY} if m in sys.modules]))"
+    ran = subprocess.run([sys.executable, "-c", program], cwd=ROOT, check=True, capture_output=True, text=True)
+    return json.loads(ran.stdout.splitlines()[-1])
+
+
+def test_the_import_alone_is_light():
+    assert modules_after("import puma_sim_core as ps; dir(ps)") == []
+
+
+def test_a_name_is_imported_when_it_is_used():
+    assert "numpy" in modules_after("import puma_sim_core as ps; ps.Plant")
+
+
+@pytest.mark.parametrize("name", ps.__all__)
+def test_each_public_name_is_there_and_documented(name):
+    assert (getattr(ps, name).__doc__ or "").strip()
+
+
+def test_dir_shows_the_public_names_alone():
+    assert dir(ps) == sorted(ps.__all__)
+    assert not [name for name in dir(ps) if name.startswith("_")]
+
+
+def test_a_public_name_is_the_object_of_its_module():
+    assert ps.Simulator is Simulator
+
+
+def test_an_unknown_name_is_refused():
+    with pytest.raises(AttributeError, match="no attribute 'simulate_all'"):
+        ps.simulate_all  # noqa: B018
+
+
+def test_type_checkers_see_the_same_names():
+    tree = ast.parse((ROOT / "puma_sim_core" / "__init__.py").read_text(encoding="utf-8"))
+    (block,) = (node for node in tree.body if isinstance(node, ast.If))
+    seen = {
+        alias.asname: (entry.module.removeprefix("puma_sim_core."), alias.name)
+        for entry in block.body
+        for alias in entry.names
+    }
+    assert seen == ps._SOURCES
