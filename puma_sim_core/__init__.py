@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from puma_sim_core.dynamics.pid import PidGains as PidGains
     from puma_sim_core.dynamics.servo import ServoConfig as ServoConfig
     from puma_sim_core.effects import Effect as Effect
+    from puma_sim_core.effects import load_effects as load_effects
     from puma_sim_core.effects import parse_effect as parse_effect
     from puma_sim_core.errors import BagError as BagError
     from puma_sim_core.errors import CommandError as CommandError
@@ -82,7 +83,7 @@ _PUBLIC = {
     "plant.plant": "Plant load_model dump_model",
     "plant.mechanism": "Mechanism load_mechanism mechanism_names",
     "arm.parameters": "ArmParameters load_parameters parameter_sets",
-    "effects": "Effect parse_effect",
+    "effects": "Effect load_effects parse_effect",
     "simulation.simulator": "Constraint Limits Simulator",
     "simulation.session": "Session SessionConfig",
     "simulation.batch": "BatchResult run_batch",

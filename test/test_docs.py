@@ -63,6 +63,7 @@ def run_blocks(page: Path, folder: Path, marks: tuple[str, ...]) -> None:
     for path in EXAMPLES.iterdir():
         if path.is_file():
             shutil.copy(path, folder)
+    shutil.copytree(EXAMPLES / "effects", folder / "effects")
     environment = with_command(folder / ".programs")
     for block in blocks_of(page):
         if block.mark in marks:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from itertools import pairwise
@@ -38,6 +39,7 @@ def python(program: str, **environment: str) -> list:
     done = subprocess.run(
         [sys.executable, "-c", program],
         env={**own, "PYTHONPATH": str(ROOT), **environment},
+        cwd="/",  # what is imported is what PYTHONPATH says
         capture_output=True,
         text=True,
     )
@@ -178,6 +180,28 @@ except ParameterError as error:
     print(json.dumps(str(error)))
 """
     assert "before anything is simulated" in python(late)
+
+
+def test_one_new_file_in_the_package_is_a_new_effect(tmp_path):
+    """Adding an effect to the product: one file in effects/, and nothing else."""
+    for name in ("puma_sim_core", "config"):
+        shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(COGGING, tmp_path / "puma_sim_core" / "effects")
+    program = """
+import json
+from puma_sim_core.effects import KINDS, parse_effect
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.simulation.simulator import Simulator
+
+kind = KINDS["motor_cogging"]
+simulator = Simulator(Plant.of("bejczy", [parse_effect(kind.example)]))
+simulator.run([0.0, 0.1], [[5.0, 5.0, 5.0]] * 2)
+known = KINDS["torque_ripple"].told_from("motor_cogging")
+print(json.dumps([kind.screening is not None, list(simulator.state), known]))
+"""
+    listed, state, known = python(program, PYTHONPATH=str(tmp_path), PUMA_SIM_KERNEL="python")
+    assert listed and np.isfinite(state).all()
+    assert known == "the waves are sines, without a second harmonic"
 
 
 def test_an_entry_point_of_another_package_is_an_effect(tmp_path):

@@ -42,9 +42,9 @@ def effects_page() -> str:
             lines += ["", "`explain` does not look for this effect: it is simulated only."]
             continue
         lines += ["", f"**Excitation.** {screening.excitation}"]
-        if screening.look_alikes:
+        if kind.look_alikes:
             lines += ["", "| look-alike | what tells the two apart |", "|---|---|"]
-            lines += [f"| `{name}` | {_cell(difference)} |" for name, difference in screening.look_alikes]
+            lines += [f"| `{name}` | {_cell(difference)} |" for name, difference, _ in kind.look_alikes]
     return "\n".join(lines) + "\n"
 
 
