@@ -201,7 +201,7 @@ def on_all_cores(task: Task, cores: int) -> Row:
 
     def together():
         with ThreadPoolExecutor(cores) as executor:
-            return list(executor.map(repeat, runs))[0]
+            return next(iter(executor.map(repeat, runs)))
 
     return Row(
         LABEL_ALL_CORES,

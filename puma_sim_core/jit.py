@@ -13,7 +13,9 @@ from __future__ import annotations
 import hashlib
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, TypeVar, cast
 
 from puma_sim_core.errors import ParameterError
 
@@ -90,52 +92,45 @@ def _cache_directory() -> str | None:
 BACKEND = _choose()
 _CACHE = _cache_directory() if BACKEND == "numba" else None
 
+#: a function, with the type that it has
+F = TypeVar("F", bound=Callable[..., Any])
+
 if BACKEND == "numba":
     import numba
 
-    def _jit(function, **options):
+    def _njit(function: F, **options: Any) -> F:
+        return cast(F, numba.njit(function, nogil=True, error_model="numpy", **options))
+
+    def inlined(function: F) -> F:
+        """Compile as a part of its callers."""
+        return _njit(function, forceinline=True)
+
+    def outlined(function: F) -> F:
+        """Compile as a function of its own that compiled callers call."""
+        return _njit(function)
+
+    def merged(function: F) -> F:
+        """Put the source into its callers: for a large function that calls much, since each level
+        of calls has all code below it optimised once more."""
+        return _njit(function, inline="always")
+
+    def compiled(function: F) -> F:
+        """Compile as an entry that Python calls, kept on disk."""
         before = numba.config.CACHE_DIR
         try:
             # numba looks the folder up while it decorates; other users of numba keep theirs
             numba.config.CACHE_DIR = _CACHE or before
-            return numba.njit(function, nogil=True, error_model="numpy", cache=_CACHE is not None, **options)
+            return _njit(function, cache=_CACHE is not None)
         finally:
             numba.config.CACHE_DIR = before
 
-    def inlined(function):
-        """Compile as a part of its callers."""
-        return numba.njit(function, nogil=True, error_model="numpy", forceinline=True)
-
-    def outlined(function):
-        """Compile as a function of its own that compiled callers call."""
-        return numba.njit(function, nogil=True, error_model="numpy")
-
-    def merged(function):
-        """Put the source into its callers: for a large function that calls much, since each level
-        of calls has all code below it optimised once more."""
-        return numba.njit(function, nogil=True, error_model="numpy", inline="always")
-
-    def compiled(function):
-        """Compile as an entry that Python calls, kept on disk."""
-        return _jit(function)
-
 else:
 
-    def inlined(function):
+    def _as_it_is(function: F) -> F:
         """The function as it is."""
         return function
 
-    def outlined(function):
-        """The function as it is."""
-        return function
-
-    def merged(function):
-        """The function as it is."""
-        return function
-
-    def compiled(function):
-        """The function as it is."""
-        return function
+    inlined = outlined = merged = compiled = _as_it_is
 
 
 def compiles_first() -> bool:
@@ -145,7 +140,7 @@ def compiles_first() -> bool:
     return _CACHE is None or next(Path(_CACHE).rglob("*.nbi"), None) is None
 
 
-def interpreted(function):
+def interpreted(function: F) -> F:
     """The plain Python of a function that is inlined elsewhere, for a caller that is not compiled
     (a call would compile it, for a second)."""
-    return getattr(function, "py_func", function)
+    return cast(F, getattr(function, "py_func", function))

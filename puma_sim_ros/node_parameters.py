@@ -200,7 +200,9 @@ def declare(node: Node) -> dict[str, Any]:
             ) from error
         except InvalidParameterValueException as error:
             raise ParameterError(
-                _given(node, declared.name), where=f"parameter '{declared.name}'", expected="%g to %g" % declared.span
+                _given(node, declared.name),
+                where=f"parameter '{declared.name}'",
+                expected="{:g} to {:g}".format(*declared.span),
             ) from error
     return values_of(node.get_parameter_or(name) for name in _DEFAULTS)
 

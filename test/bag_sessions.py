@@ -54,14 +54,14 @@ def commands(step: int, command_interface: str) -> list[RecordedCommand]:
 
 
 def new_recorder(path, command_interface: str = "voltage", **changes) -> BagRecorder:
-    options = dict(
-        config_text=CONFIG,
-        urdf=URDF,
-        joint_names=JOINTS,
-        frame_id="base_link",
-        command_interface=command_interface,
-        period_ns=PERIOD_NS,
-    )
+    options = {
+        "config_text": CONFIG,
+        "urdf": URDF,
+        "joint_names": JOINTS,
+        "frame_id": "base_link",
+        "command_interface": command_interface,
+        "period_ns": PERIOD_NS,
+    }
     return BagRecorder(path, **{**options, **changes})
 
 

@@ -185,7 +185,7 @@ def test_an_effect_of_the_table_acts_as_the_projects_effect_of_that_name(name):
 
 
 def test_a_plant_with_nothing_missing_has_no_size_and_friction_has_its_own():
-    rig, _, run = quiet_run(None, 2520, 3.0)
+    rig, _, _run = quiet_run(None, 2520, 3.0)
     noise = np.random.default_rng(1).normal(0.0, 0.05, rig.noise.shape)
     rig.noise[:] = noise
     plain = rig.sizes(rig.run(effects.Plant()))
@@ -274,4 +274,4 @@ def test_a_fault_is_where_the_answer_says(kind):
         x, y = spoilt[fault["channel"]], before[fault["channel"]]
         good = row - 2 if kind == "reversed_time" else row - 1  # the row before came too early
         assert (x[:good] == y[:good]).all()
-        assert row > len(x) or not x[row - 1 : row + 1].tolist() == y[row - 1 : row + 1].tolist()
+        assert row > len(x) or x[row - 1 : row + 1].tolist() != y[row - 1 : row + 1].tolist()

@@ -7,6 +7,7 @@ The logs here are runs of the simulator, so that their true velocities and curre
 
 from __future__ import annotations
 
+import itertools
 import re
 from dataclasses import replace
 
@@ -117,7 +118,7 @@ def test_the_errors_are_those_of_each_window_run_by_itself(plant, tmp_path, caps
     windows, rms, worst = reported(capsys)
     edges = [*np.searchsorted(log.time, (0.0, 1.5, 3.0, 4.5)), len(log) - 1]
     error = []
-    for first, last in zip(edges[:-1], edges[1:]):
+    for first, last in itertools.pairwise(edges):
         simulator = Simulator(wrong)
         simulator.reset(*np.split(states(log)[first], 3))
         alone = simulator.run(log.time[first : last + 1], log.voltage[first : last + 1])

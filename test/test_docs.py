@@ -128,7 +128,8 @@ def test_the_site_builds_without_warnings(tmp_path):
     pytest.importorskip("myst_parser")
     docs = tmp_path / "site" / "docs"
     shutil.copytree(ROOT / "docs", docs, ignore=shutil.ignore_patterns("_build", "*.pyc"))
-    (tmp_path / "site" / "puma_sim_core").symlink_to(ROOT / "puma_sim_core")
+    for name in ("puma_sim_core", "examples"):
+        (tmp_path / "site" / name).symlink_to(ROOT / name)
     ran = subprocess.run(
         [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", str(docs), str(tmp_path / "html")],
         env={**os.environ, "PYTHONPATH": str(ROOT)},

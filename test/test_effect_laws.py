@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -104,7 +105,7 @@ def test_stribeck_friction_falls_with_the_speed_as_its_equation_says():
 def ramp(*corners, steps=400, row=0.02):
     """Times and torques that pass slowly from corner to corner."""
     torque = np.concatenate(
-        [np.linspace(a, b, steps, endpoint=False) for a, b in zip(corners, corners[1:])] + [corners[-1:]]
+        [np.linspace(a, b, steps, endpoint=False) for a, b in itertools.pairwise(corners)] + [corners[-1:]]
     )
     return row * np.arange(len(torque)), torque
 
@@ -112,7 +113,7 @@ def ramp(*corners, steps=400, row=0.02):
 def dahl(torque, level, stiffness):
     """Travel under a slow load: dF/dq = stiffness (1 - F sgn(qd) / level), integrated."""
     q, travel = 0.0, [0.0]
-    for a, b in zip(torque, torque[1:]):
+    for a, b in itertools.pairwise(torque):
         s = np.sign(b - a)
         q += s * level / stiffness * np.log((1.0 - s * a / level) / (1.0 - s * b / level))
         travel.append(q)

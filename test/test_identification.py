@@ -64,9 +64,9 @@ def test_the_recursion_says_when_rows_do_not_determine_the_parameters():
     with pytest.raises(ParameterError, match="5 rows do not determine 2 parameters"):
         recursion.estimate
     for bad in (
-        dict(rows=[1.0], values=1.0),
-        dict(rows=[1.0, np.nan], values=1.0),
-        dict(rows=[[1.0, 2.0]], values=[1.0, 2.0]),
+        {"rows": [1.0], "values": 1.0},
+        {"rows": [1.0, np.nan], "values": 1.0},
+        {"rows": [[1.0, 2.0]], "values": [1.0, 2.0]},
     ):
         with pytest.raises(ParameterError, match="expected"):
             recursion.update(**bad)

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
@@ -103,7 +103,7 @@ def test_error_falls_sixteen_fold_for_a_halved_step():
 
     exact = position(0.032 / 2048)
     errors = [np.abs(position(0.032 / n) - exact).max() for n in (64, 128, 256)]
-    ratios = [a / b for a, b in zip(errors, errors[1:])]
+    ratios = [a / b for a, b in pairwise(errors)]
     assert all(15.0 < ratio < 17.0 for ratio in ratios), ratios
 
 
@@ -203,7 +203,7 @@ def test_moving_constrained_joints_act_on_the_free_one():
     plant = plant_of()
     accelerations = {}
     for kind in ("hold", "velocity", "acceleration"):
-        simulator, (q, qd, current), given = constrained(("free", kind, kind), plant)
+        simulator, (_q, _qd, _current), _given = constrained(("free", kind, kind), plant)
         simulator.reset((0.0, -1.0, 0.5), [0.0 if kind == "hold" else 0.7] * 3)
         accelerations[kind] = simulator.run([0.0, 1e-3], np.zeros((2, 3)), acceleration=True).acceleration[0, 0]
     assert accelerations["hold"] == 0.0

@@ -173,6 +173,7 @@ def test_at_rest_it_holds_up_to_the_level_of_the_present_torque(drive):
     assert run.velocity[-1, 0] < -0.5
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("joint", [0, 1, 2])
 @pytest.mark.parametrize("soft", [False, True])
 def test_a_bristle_yields_at_the_level_of_its_load(joint, soft):

@@ -122,7 +122,7 @@ def test_measured_logs_have_no_fault():
 
 # -- faults of the arm --------------------------------------------------------------------------
 
-RATES = {"1 kHz": dict(step=0.001), "uneven": dict(times=uneven(21), gain=0.5)}
+RATES = {"1 kHz": {"step": 0.001}, "uneven": {"times": uneven(21), "gain": 0.5}}
 
 
 @cache

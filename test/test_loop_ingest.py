@@ -127,7 +127,7 @@ def test_a_number_that_is_missing_is_left_to_the_gate(file):
     log = read_log(write(file, NAMES, *rows), joints=1)
     faults, _ = check(log, load_mechanism("pendulum"))
     assert {(f.channel, f.row) for f in faults} == {("position1", 18), ("voltage1", 31)}
-    assert "line 19" in [f for f in faults if f.channel == "position1"][0].what
+    assert "line 19" in next(f for f in faults if f.channel == "position1").what
 
 
 def test_a_row_without_its_end_is_left_out(file):

@@ -144,5 +144,5 @@ def test_a_profile_is_the_interval_of_a_quadratic_and_wider_where_the_likelihood
     for sign in (-1.0, 1.0):
         reach = intervals._profile(fit, found, 0, sign * spread, wider)
         assert reach == pytest.approx(1.96 * spread, rel=0.15)
-    value, low, high = intervals.intervals(fit, found)[0, "voltage"]
+    _value, low, high = intervals.intervals(fit, found)[0, "voltage"]
     assert low < 0.0 < high, "nothing was there"

@@ -391,6 +391,6 @@ def test_browser_shows_every_verdict_at_desk_and_phone(tmp_path):
 @pytest.mark.timeout(240)
 def test_browser_opens_and_prints_the_file(tmp_path):
     _, path, _ = write_explanation(tied(), tmp_path / "out")
-    shown, console = browse(path, tmp_path, f"--print-to-pdf={tmp_path / 'report.pdf'}")
+    _shown, console = browse(path, tmp_path, f"--print-to-pdf={tmp_path / 'report.pdf'}")
     assert console == [] and CHROMIUM
     assert (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF")

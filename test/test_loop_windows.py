@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from loop_logs import SECONDS, STEP, record, validation
@@ -44,7 +46,7 @@ def test_windows_cover_their_spans_and_take_turns():
         for turn in seen.turns[key]:
             ends = sorted((rows.start, rows.stop) for _, rows in turn)
             # before each the observer has as long as a window to come back
-            assert all(time[a] - time[b - 1] > 0.3 for (_, b), (a, _) in zip(ends, ends[1:]))
+            assert all(time[a] - time[b - 1] > 0.3 for (_, b), (a, _) in itertools.pairwise(ends))
             for first, stop in ends:
                 assert 0.3 <= time[stop - 1] - time[first] <= 0.5
                 inside[first:stop] += 1

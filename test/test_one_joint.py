@@ -203,6 +203,7 @@ for name in ("pendulum", "slide"):
 """
 
 
+@pytest.mark.long
 def test_interpreted_and_compiled_plants_of_one_joint_have_the_same_bits():
     results = [
         subprocess.run(

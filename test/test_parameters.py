@@ -443,10 +443,10 @@ def test_numbers_that_overflow_are_refused():
 @pytest.mark.parametrize(
     "change, message",
     [
-        (dict(links=()), "links.link: 0 entries"),
-        (dict(motors=()), "motors.joint: 0 entries"),
-        (dict(joint_ranges=()), "joint_ranges: 0 entries"),
-        (dict(a3="short"), "geometry.a3: 'short'"),
+        ({"links": ()}, "links.link: 0 entries"),
+        ({"motors": ()}, "motors.joint: 0 entries"),
+        ({"joint_ranges": ()}, "joint_ranges: 0 entries"),
+        ({"a3": "short"}, "geometry.a3: 'short'"),
     ],
 )
 def test_values_made_in_python_are_checked_too(change, message):

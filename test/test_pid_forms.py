@@ -48,7 +48,7 @@ def test_velocity_form_is_the_recursion_of_equation_7_3():
 )
 def test_without_limits_the_forms_differ_by_the_newest_term_of_the_sum(gains, on_measurement):
     setpoint, measurement = random_signals()
-    options = dict(on_measurement=on_measurement)
+    options = {"on_measurement": on_measurement}
     positional = outputs(Pid((gains,), H, **options), setpoint, measurement)
     velocity = outputs(Pid((gains,), H, form="velocity", **options), setpoint, measurement)
     newest = gains.gain * H / gains.integral_time * (setpoint - measurement)

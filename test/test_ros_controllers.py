@@ -93,7 +93,7 @@ def test_controller_and_servo_change_at_a_reset_and_bags_tell_which(tmp_path):
             1000,
             False,
         )
-        common = dict(command_interface="position", initial_position=START, servo=servo)
+        common = {"command_interface": "position", "initial_position": START, "servo": servo}
         follow(peer, Session(SessionConfig(Plant.of(), **common)))
         (result,) = peer.set(controller="computed_torque")
         assert result.successful

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from arm_reference import bits, plant_of, smooth_voltages
@@ -148,7 +150,7 @@ def test_what_is_on_its_way_goes_on_from_run_to_run(delay, cuts):
     whole, parts = simulator_of(effect), simulator_of(effect)
     end = whole.run(time, volts).position[-1]
     edges = [0, *sorted(cuts), len(time) - 1]
-    for first, last in zip(edges[:-1], edges[1:]):
+    for first, last in itertools.pairwise(edges):
         # each with a clock of its own
         parts.run(time[first : last + 1] - time[first], volts[first : last + 1])
     np.testing.assert_allclose(parts.state[:3], end, rtol=0, atol=1e-12)

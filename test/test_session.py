@@ -139,7 +139,7 @@ def test_voltages_beyond_the_limit_are_clipped_and_counted():
 
 
 def test_setpoints_beyond_the_range_of_a_joint_are_clipped_and_counted():
-    (low, high), *_ = arm_of("bejczy").joint_ranges
+    (_low, high), *_ = arm_of("bejczy").joint_ranges
     session = Session(position_config(command_timeout=0))
     session.command((100.0, POSITION[1], POSITION[2]))
     assert session.counters.saturated == 1

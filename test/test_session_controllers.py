@@ -113,16 +113,16 @@ def test_a_session_without_the_key_is_one_with_pid():
 @pytest.mark.parametrize(
     "changes, message",
     [
-        (dict(controller="pd"), "controller 'pd'; expected pid or scheduled or computed_torque"),
+        ({"controller": "pd"}, "controller 'pd'; expected pid or scheduled or computed_torque"),
         (
-            dict(controller="scheduled", command_interface="voltage"),
+            {"controller": "scheduled", "command_interface": "voltage"},
             "controller 'scheduled'; expected pid, or command_interface position",
         ),
-        (dict(controller_settings={}), "controller_settings of controller 'pid'; expected none"),
-        (dict(controller="scheduled", controller_settings={}), "derivative_on_measurement = None"),
-        (dict(controller="scheduled", controller_settings=7), "settings 7; expected a mapping"),
+        ({"controller_settings": {}}, "controller_settings of controller 'pid'; expected none"),
+        ({"controller": "scheduled", "controller_settings": {}}, "derivative_on_measurement = None"),
+        ({"controller": "scheduled", "controller_settings": 7}, "settings 7; expected a mapping"),
         (
-            dict(controller="computed_torque", controller_settings={"bandwidth": 1.0}),
+            {"controller": "computed_torque", "controller_settings": {"bandwidth": 1.0}},
             "keys bandwidth; expected bandwidth, velocity_filter",
         ),
     ],

@@ -36,7 +36,7 @@ def test_moves_start_and_end_where_they_should(shape, duration):
 
 def test_a_step_is_in_the_setpoint_of_its_own_time():
     for k in range(1, 200):
-        time, setpoint = joint_setpoints((0.0,) * 3, [Move(k * T, 0.0, (1.0,) * 3, "step")], 10.0)
+        _time, setpoint = joint_setpoints((0.0,) * 3, [Move(k * T, 0.0, (1.0,) * 3, "step")], 10.0)
         assert np.flatnonzero(setpoint[:, 0])[0] == k
 
 

@@ -167,15 +167,15 @@ def test_servo_holds_the_arm_at_its_setpoint():
 @pytest.mark.parametrize(
     "arguments, message",
     [
-        (dict(setpoint=[[0.0, 0.0]]), r"setpoint of shape \(1, 2\)"),
-        (dict(setpoint=[[0.0, 0.0, math.nan]]), "finite"),
-        (dict(setpoint=np.zeros((0, 3))), "no setpoint"),
-        (dict(samples=0), "samples 0; expected a whole number"),
-        (dict(samples=1.5), "samples 1.5; expected a whole number"),
-        (dict(period=-0.028), "expected"),
-        (dict(period=math.nan), "expected"),
-        (dict(voltage_limit=-1.0), "voltage_limit -1.0 V; expected a positive number"),
-        (dict(voltage_limit=math.nan), "voltage_limit nan V"),
+        ({"setpoint": [[0.0, 0.0]]}, r"setpoint of shape \(1, 2\)"),
+        ({"setpoint": [[0.0, 0.0, math.nan]]}, "finite"),
+        ({"setpoint": np.zeros((0, 3))}, "no setpoint"),
+        ({"samples": 0}, "samples 0; expected a whole number"),
+        ({"samples": 1.5}, "samples 1.5; expected a whole number"),
+        ({"period": -0.028}, "expected"),
+        ({"period": math.nan}, "expected"),
+        ({"voltage_limit": -1.0}, "voltage_limit -1.0 V; expected a positive number"),
+        ({"voltage_limit": math.nan}, "voltage_limit nan V"),
     ],
 )
 def test_servo_arguments_that_cannot_be_used_are_refused(arguments, message):

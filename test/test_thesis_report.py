@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import html
+import itertools
 import json
 import os
 import re
@@ -191,7 +192,7 @@ def test_json_is_the_same_on_every_run_and_however_it_is_run(quick_results, tmp_
 def test_progress_goes_from_nought_to_one(jobs):
     seen = []
     run([experiments()[number] for number in QUICK[1:]], 1, jobs, lambda what, share: seen.append(share))
-    assert all(a <= b for a, b in zip(seen, seen[1:])) and seen[0] >= 0.0 and seen[-1] <= 1.0
+    assert all(a <= b for a, b in itertools.pairwise(seen)) and seen[0] >= 0.0 and seen[-1] <= 1.0
 
 
 def test_a_failing_experiment_is_named():

@@ -79,7 +79,7 @@ def test_a_rotor_inside_the_gap_feels_nothing():
     assert np.all(run.velocity[:, 0] == 0.05) and np.all(motion[:, 3:] == 0.0)
     run, motion = rest(simulator, 0.1, 0.01)
     # after the knock, the momentum of both is what the rotor brought
-    rotor, link = masses(plant, 1)
+    rotor, _link = masses(plant, 1)
     assert np.ptp(run.velocity[:, 0]) > 0.01
     M = inertia(motion[-1, :3], plant.arm) + np.diag((1 - SHARE) * plant.arm.motor_inertia * (1, 0, 0))
     momentum = rotor * run.velocity[-1, 0] + M[0] @ motion[-1, 3:]

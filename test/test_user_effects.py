@@ -20,6 +20,10 @@ COGGING = ROOT / "examples" / "effects" / "motor_cogging.py"
 HYSTERESIS = ROOT / "examples" / "effects" / "gear_hysteresis.py"
 
 
+#: a kernel that is compiled with an effect of its own takes half a minute the first time
+KERNELS = pytest.mark.parametrize("kernel", ["python", pytest.param("auto", marks=pytest.mark.long)])
+
+
 def command(*arguments, kernel: str | None = None, cwd=None) -> subprocess.CompletedProcess:
     """`puma-sim` in a process of its own: the kernel is built once in each."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), **({"PUMA_SIM_KERNEL": kernel} if kernel else {})}
@@ -80,7 +84,7 @@ print(json.dumps(found))
 """
 
 
-@pytest.mark.parametrize("kernel", ["python", "auto"])
+@KERNELS
 def test_the_law_of_a_user_acts_on_its_joint(kernel):
     for q3, gear, *torque in python(LAW, PUMA_SIM_KERNEL=kernel):
         x = 4.0 * gear * q3 + 0.3
@@ -107,7 +111,7 @@ print(json.dumps([run.position[:, 0].tolist(), simulator.further[0], simulator.w
 """
 
 
-@pytest.mark.parametrize("kernel", ["python", "auto"])
+@KERNELS
 def test_a_state_of_its_own_follows_the_travel_and_is_carried_on(kernel):
     positions, further, in_state = python(LOOP, PUMA_SIM_KERNEL=kernel)
     deflection = 0.0
@@ -117,6 +121,7 @@ def test_a_state_of_its_own_follows_the_travel_and_is_carried_on(kernel):
     assert further == in_state == pytest.approx(deflection, abs=2e-4)
 
 
+@pytest.mark.long
 def test_both_kernels_and_reruns_give_the_same_bytes(tmp_path):
     volts, texts = volts_file(tmp_path / "volts.csv"), []
     for kernel in ("python", "auto", "auto"):
@@ -136,15 +141,15 @@ def test_both_kernels_and_reruns_give_the_same_bytes(tmp_path):
 
 
 def test_an_effect_of_a_user_is_listed_and_goes_into_a_model_file(tmp_path):
-    listed = command("list", "motor_cogging", "--effects", COGGING)
+    listed = command("list", "motor_cogging", "--effects", COGGING, kernel="python")
     assert listed.returncode == 0 and "sin(n N q + f)" in listed.stdout
     model = tmp_path / "model.yaml"
     effect = "motor_cogging:joint=3,amplitude=1.5,order=4"
-    assert command("model", "--effects", COGGING, "--effect", effect, "--out", model).returncode == 0
+    assert command("model", "--effects", COGGING, "--effect", effect, "--out", model, kernel="python").returncode == 0
     volts = volts_file(tmp_path / "volts.csv", 0.2)
     arguments = ("simulate", volts, "--model", model, "--out", tmp_path / "run.csv")
-    assert command(*arguments, "--effects", COGGING).returncode == 0
-    refused = command(*arguments)
+    assert command(*arguments, "--effects", COGGING, kernel="python").returncode == 0
+    refused = command(*arguments, kernel="python")
     assert refused.returncode == 2 and "unknown effect 'motor_cogging'" in refused.stderr
 
 
@@ -163,7 +168,7 @@ def test_a_file_without_a_usable_effect_is_named(tmp_path, text, message):
     file = tmp_path / "mine.py"
     if text is not None:
         file.write_text(text)
-    done = command("list", "--effects", file)
+    done = command("list", "--effects", file, kernel="python")
     assert done.returncode == 2 and message in done.stderr and "Traceback" not in done.stderr
     assert done.stdout == ""
 

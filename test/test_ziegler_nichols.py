@@ -222,12 +222,12 @@ def test_requests_without_an_answer_are_refused(method):
 @pytest.mark.parametrize(
     "arguments, error, message",
     [
-        (dict(pose=(0.0, 1.0, 0.0)), LimitError, r"pose: joint 2 at 57\.\d+ deg; expected -223 to 43"),
-        (dict(pose=(0.0, 0.0, np.nan)), ParameterError, "pose"),
-        (dict(joint=4), ParameterError, "joint 4; expected 1, 2 or 3"),
-        (dict(period=0.0), ParameterError, "period 0.0 s"),
-        (dict(delay=-1), ParameterError, "delay -1"),
-        (dict(delay=1.0), ParameterError, "delay 1.0; expected a whole number"),
+        ({"pose": (0.0, 1.0, 0.0)}, LimitError, r"pose: joint 2 at 57\.\d+ deg; expected -223 to 43"),
+        ({"pose": (0.0, 0.0, np.nan)}, ParameterError, "pose"),
+        ({"joint": 4}, ParameterError, "joint 4; expected 1, 2 or 3"),
+        ({"period": 0.0}, ParameterError, "period 0.0 s"),
+        ({"delay": -1}, ParameterError, "delay -1"),
+        ({"delay": 1.0}, ParameterError, "delay 1.0; expected a whole number"),
     ],
 )
 def test_loops_that_cannot_be_are_refused(arguments, error, message):

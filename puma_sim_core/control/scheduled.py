@@ -9,6 +9,7 @@ angles; beyond their edges the gains of the edge hold.
 
 from __future__ import annotations
 
+import itertools
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -110,7 +111,7 @@ def _angles(values, name: str) -> tuple[float, ...]:
         angles = tuple(float(value) for value in values)
     except (TypeError, ValueError):
         angles = ()
-    if len(angles) < 2 or not all(map(isfinite, angles)) or any(b <= a for a, b in zip(angles, angles[1:])):
+    if len(angles) < 2 or not all(map(isfinite, angles)) or any(b <= a for a, b in itertools.pairwise(angles)):
         raise ParameterError(
             f"{name} = {values!r}", where="gain schedule", expected="increasing angles [rad], two at least"
         )

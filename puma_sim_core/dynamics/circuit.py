@@ -27,7 +27,7 @@ def settled_currents(x, v, model, p):
 
     A supply sags under the currents of the state.
     """
-    body, drive, active = model
+    _body, drive, active = model
     y1, r1, k1, _, _, y2, r2, k2, _, _, y3, r3, k3, _, _ = drive
     i1, i2, i3 = x[6], x[7], x[8]
     v1, v2, v3 = v[0], v[1], v[2]
@@ -68,7 +68,7 @@ def motor_torques(x, v, model, p):
 @inlined
 def electric_rates(x, v, model, p):
     """Currents [A], as they are or as the voltages settle them, and their rates [A/s] (equation 5.1)."""
-    body, drive, active = model
+    _body, drive, active = model
     y1, r1, k1, _, _, y2, r2, k2, _, _, y3, r3, k3, _, _ = drive
     w1, w2, w3, i1, i2, i3 = x[3], x[4], x[5], x[6], x[7], x[8]
     u1, u2, u3 = v[0], v[1], v[2]

@@ -36,7 +36,8 @@ def written(
     source = f"def {name}({arguments}):\n" + "".join(f"    {line}\n" for line in body)
     scope: dict[str, Any] = {**functions, "inf": inf}
     exec(compile(source, f"<laws: {name}>", "exec"), scope)
-    return jit(scope[name])
+    function: Callable[..., Any] = jit(scope[name])
+    return function
 
 
 def combined(point: Point, jit: Callable[..., Any] = inlined) -> Callable[..., Any]:
@@ -97,7 +98,8 @@ Z_WIDTH = 6 + DEFLECTIONS
 
 
 def _memory_lines() -> tuple[list[str], dict[str, Any]]:
-    lines, functions = [], {}
+    lines: list[str] = []
+    functions: dict[str, Any] = {}
     for n, (follow, torque, place) in enumerate(MEMORIES):
         functions |= {f"follow{n}": follow, f"torque{n}": torque}
         for j in range(3):

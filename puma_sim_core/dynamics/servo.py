@@ -9,8 +9,10 @@ are asked for.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import floor, inf, isfinite, pi
+from typing import Any
 
 from puma_sim_core.dynamics.pid import PidGains, pid_law
 from puma_sim_core.errors import ParameterError
@@ -110,7 +112,7 @@ class ServoConfig:
         asked for before the first sample (none by default)."""
         return tuple(float(v) for v in voltage for _ in range(self.delay_samples))
 
-    def to_mapping(self) -> dict:
+    def to_mapping(self) -> dict[str, Any]:
         """Plain values for a file."""
         return {
             "gains": [
@@ -126,12 +128,14 @@ class ServoConfig:
         }
 
     @classmethod
-    def from_mapping(cls, mapping: dict) -> ServoConfig:
+    def from_mapping(cls, mapping: Mapping[str, Any]) -> ServoConfig:
         """The inverse of `to_mapping`; raises ParameterError."""
         try:
-            values = dict(mapping)
+            values: dict[str, Any] = dict(mapping)
             gains = tuple(PidGains(**g) for g in values.pop("gains", ()))
-            return cls(**({"gains": gains} if gains else {}), **values)
+            if gains:
+                values["gains"] = gains
+            return cls(**values)
         except TypeError as error:
             raise ParameterError(f"{error}", where="servo", expected="the keys of ServoConfig") from None
 

@@ -24,6 +24,8 @@ push the links from outside. A constraint holds the motor of a soft joint, not i
 
 from __future__ import annotations
 
+from typing import Any
+
 from puma_sim_core.dynamics.circuit import electric_rates, settled_state
 from puma_sim_core.dynamics.contact import build_changing_step, build_contact
 from puma_sim_core.dynamics.laws import (
@@ -55,7 +57,7 @@ from puma_sim_core.jit import inlined, interpreted, outlined
 
 
 @inlined
-def trains(p):
+def trains(p: Any) -> tuple[int, int, int]:
     """Where the three joints' trains start in p, at whose end the least rate of steps stands.
 
     Constants would do, but with them each function below would be compiled once for each.
@@ -184,7 +186,7 @@ def rotor_acceleration(k, own, torque, locked, given, p):
 @outlined
 def rates(y, v, model, p, lock, slip, bend):
     """Derivative of (q, qd, i, ql, qdl), fifteen numbers; zero for the links of rigid joints."""
-    body, drive, active = model
+    _body, _drive, _active = model
     k1, k2, k3 = trains(p)
     i1, i2, i3, e1, e2, e3 = electric_rates(y, v, model, p)
     x = (y[0], y[1], y[2], y[3], y[4], y[5], i1, i2, i3)

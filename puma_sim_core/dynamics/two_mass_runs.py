@@ -7,6 +7,7 @@ They are compiled by themselves, so that nobody waits for the one who does not u
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from puma_sim_core.dynamics import runs
@@ -88,7 +89,7 @@ def links_at(x: tuple[float, ...], time: float, constants: Constants, lock: tupl
 
 def run_voltages(state: State, rows: Rows, constants: Constants, lock: tuple[float, ...], out: Any) -> int:
     """`runs.run_voltages` of any arm."""
-    run = _train_voltages if constants.active & TWO_MASS else runs.run_voltages
+    run: Callable[..., int] = _train_voltages if constants.active & TWO_MASS else runs.run_voltages
     return run(state, rows, constants, lock, out)
 
 
@@ -96,11 +97,11 @@ def run_servo(
     state: State, setpoints: Any, loop: ServoLoop, constants: Constants, lock: tuple[float, ...], out: Any, volts: Any
 ) -> int:
     """`runs.run_servo` of any arm."""
-    run = _train_servo if constants.active & TWO_MASS else runs.run_servo
+    run: Callable[..., int] = _train_servo if constants.active & TWO_MASS else runs.run_servo
     return run(state, setpoints, loop, constants, lock, out, volts)
 
 
 def accelerations(out: Any, rows: Rows, constants: Constants, lock: tuple[float, ...], result: Any) -> None:
     """`runs.accelerations` of any arm: those of the motors over their gear ratios."""
-    run = _train_accelerations if constants.active & TWO_MASS else runs.accelerations
+    run: Callable[..., None] = _train_accelerations if constants.active & TWO_MASS else runs.accelerations
     run(out, rows, constants, lock, result)

@@ -50,10 +50,10 @@ class Drive(NamedTuple):
 
 
 class Model(NamedTuple):
-    """Constants of a plant: the rigid body, its drives, a bit mask of active stages."""
+    """Constants of a plant: the rigid body (`Lumps`), its motors (`Drive`), a bit mask of active stages."""
 
-    body: Lumps
-    drive: Drive
+    body: Any
+    drive: Any
     active: int
 
 

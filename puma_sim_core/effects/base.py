@@ -212,7 +212,7 @@ class Parameter:
     meaning: str
     neutral: float = 0.0
     default: float | None = None
-    from_arm: Callable[[ArmParameters, int | None], float] | None = None
+    from_arm: Callable[[ArmParameters, Any], float] | None = None
     role: Role = Role.SIZE
     plausible: tuple[float, float] | None = None
     prior: tuple[float, float] | None = None
@@ -390,10 +390,12 @@ class Effect:
 
     def on(self, arm: ArmParameters) -> Effect:
         """The effect with the values that it takes from its arm filled in."""
-        filled = {
-            p.name: self.values[p.name] if p.name in self.values else p.from_arm(arm, self.joint)
-            for p in self.kind.parameters
-        }
+        filled = {}
+        for p in self.kind.parameters:
+            if p.from_arm is not None and p.name not in self.values:
+                filled[p.name] = p.from_arm(arm, self.joint)
+            else:
+                filled[p.name] = self.values[p.name]
         return Effect(self.kind, self.joint, filled)
 
     def __hash__(self):

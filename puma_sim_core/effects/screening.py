@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -141,7 +142,7 @@ class Screening:
         stand out of it.
     """
 
-    candidates: Callable[[Signals, int | None], list[Candidate]]
+    candidates: Callable[[Signals, Any], list[Candidate]]
     excitation: str
     size: str | None = None
     generous: float = 0.0

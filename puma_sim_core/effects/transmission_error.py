@@ -42,8 +42,8 @@ def transmission_error(signals: Signals, joint: int) -> list[Candidate]:
         if not slow_enough(signals, joint, order):
             continue
         columns = []
-        for n, motion in enumerate(wave_motion(q, qd, signals.acceleration[:, joint], order)):
-            column = change_of_voltage(signals, joint, *motion, motor=False)
+        for n, (dq, dqd, dqdd) in enumerate(wave_motion(q, qd, signals.acceleration[:, joint], order)):
+            column = change_of_voltage(signals, joint, dq, dqd, dqdd, motor=False)
             slope = order * (np.cos(order * q) if n == 0 else -np.sin(order * q))
             column[joint] = column[joint] + torque_volts(signals, joint, slope * link)
             columns.append(column)
@@ -65,8 +65,9 @@ def known_voltage(
     """Voltage [V] that the gear's error makes along a measured motion."""
     q, qd, qdd = (each[:, joint] for each in (signals.position, signals.velocity, signals.acceleration))
     n, e, angle = values["order"], values["amplitude"], values["order"] * q + values["phase"]
-    change = (e * np.sin(angle), e * n * np.cos(angle) * qd, e * n * (np.cos(angle) * qdd - n * np.sin(angle) * qd**2))
-    found = change_of_voltage(signals, joint, *change, motor=False)
+    dq, dqd = e * np.sin(angle), e * n * np.cos(angle) * qd
+    dqdd = e * n * (np.cos(angle) * qdd - n * np.sin(angle) * qd**2)
+    found = change_of_voltage(signals, joint, dq, dqd, dqdd, motor=False)
     found[joint] = found[joint] + torque_volts(signals, joint, e * n * np.cos(angle) * signals.link_torque[:, joint])
     return found
 

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 
 import numpy as np
@@ -35,7 +36,7 @@ def stretches(on: np.ndarray) -> Iterator[tuple[int, int]]:
     """(first row, row after the last) of the stretches in which nothing is switched."""
     edges = np.flatnonzero((on[1:] != on[:-1]).any(axis=1)) + 1
     bounds = [0, *edges.tolist(), len(on)]
-    return zip(bounds[:-1], bounds[1:])
+    return itertools.pairwise(bounds)
 
 
 def opened(drive: Drive, on) -> Drive:

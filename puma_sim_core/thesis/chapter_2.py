@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import itertools
 from math import radians
 
 import numpy as np
@@ -79,7 +80,7 @@ def independent_frame(q, arm: ArmParameters) -> tuple[np.ndarray, np.ndarray]:
 def printed_frame(q, arm: ArmParameters, d2: float) -> np.ndarray:
     """(4, 4) transform of the last link with T2 and T3 as printed, d2 [m]; q : (6,) [rad]."""
     frames = link_transforms(q, arm)
-    steps = [np.linalg.solve(a, b) for a, b in zip(frames[:-1], frames[1:])]
+    steps = [np.linalg.solve(a, b) for a, b in itertools.pairwise(frames)]
     steps[1] = steps[1].copy()
     steps[1][2, 3] = d2
     steps[2] = steps[2].copy()

@@ -9,6 +9,7 @@ that its letters stay readable when the page makes it as narrow as a phone.
 from __future__ import annotations
 
 import io
+import itertools
 import re
 import textwrap
 
@@ -70,7 +71,7 @@ def thin(curve: Curve, points: int = POINTS) -> tuple[np.ndarray, np.ndarray]:
         return x, y
     edges = np.linspace(0, x.size, points // 3 + 1).astype(int)
     keep = {0, x.size - 1}
-    for first, last in zip(edges[:-1], edges[1:]):
+    for first, last in itertools.pairwise(edges):
         part = y[first:last]
         if np.all(np.isnan(part)):
             keep.add(int(first))

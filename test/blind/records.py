@@ -57,15 +57,15 @@ def plan(kind: str, seed: int, count: int, turn: int = 0) -> list[Recipe]:
 
 def _recipe(kind: str, seed: int, turn: int) -> Recipe:
     rng = np.random.default_rng([seed, 1])
-    common = dict(
-        name=f"record_{seed:06d}",
-        seed=seed,
-        period=float(rng.choice([SERVO, 1e-3, 5e-3], p=[0.7, 0.15, 0.15])),
-        feedback=bool(rng.random() < 0.75),
-        dither=bool(rng.random() < 0.5),
-        coloured=bool(rng.random() < 0.35),
-        setpoint=bool(rng.random() < 0.75),
-    )
+    common = {
+        "name": f"record_{seed:06d}",
+        "seed": seed,
+        "period": float(rng.choice([SERVO, 1e-3, 5e-3], p=[0.7, 0.15, 0.15])),
+        "feedback": bool(rng.random() < 0.75),
+        "dither": bool(rng.random() < 0.5),
+        "coloured": bool(rng.random() < 0.35),
+        "setpoint": bool(rng.random() < 0.75),
+    }
     if kind == "nothing":
         return Recipe(**common)
     if kind in ("common", "effect") or kind in EFFECTS:
@@ -103,10 +103,10 @@ def _recipe(kind: str, seed: int, turn: int) -> Recipe:
 def committed() -> list[Recipe]:
     """The records under `records/`: small ones, with effects well above the noise floor."""
     plain: list[dict] = [
-        dict(motion="fourier", feedback=False, dither=False),
-        dict(motion="points"),
-        dict(motion="triangles", dither=False, setpoint=True),
-        dict(motion="wide", period=SERVO, seconds=4.0),
+        {"motion": "fourier", "feedback": False, "dither": False},
+        {"motion": "points"},
+        {"motion": "triangles", "dither": False, "setpoint": True},
+        {"motion": "wide", "period": SERVO, "seconds": 4.0},
     ]
     single = [
         "coulomb_friction",
@@ -129,16 +129,16 @@ def committed() -> list[Recipe]:
     wanted: list[dict] = list(plain)
     for k, name in enumerate(single):
         rng = np.random.default_rng([1000, k])
-        more = _fit(dict(feedback=k % 4 != 3, dither=k % 2 == 0), rng, name)
+        more = _fit({"feedback": k % 4 != 3, "dither": k % 2 == 0}, rng, name)
         if name == "joint_elasticity":
             more.update(period=SERVO, seconds=4.0)
         if name == "payload":
             more.update(seed=1075, seconds=8.0)  # one of almost 5 kg
         placed = ("quadratic_friction", 0) if name == "quadratic_friction" else _placed(rng, name)
         wanted.append(dict(more, effects=(placed,), sizes=(6.0,)))
-    wanted += [dict(motion="wide", effects=pair, sizes=(5.0, 5.0)) for pair in pairs]
-    wanted += [dict(motion="wide", outside=each, sizes=(6.0,)) for each in strange]
-    wanted += [dict(motion="points", fault=kind, seconds=4.0) for kind in spoilt]
+    wanted += [{"motion": "wide", "effects": pair, "sizes": (5.0, 5.0)} for pair in pairs]
+    wanted += [{"motion": "wide", "outside": each, "sizes": (6.0,)} for each in strange]
+    wanted += [{"motion": "points", "fault": kind, "seconds": 4.0} for kind in spoilt]
     return [
         Recipe(
             **{

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from puma_sim_core.effects.screening import TORQUE_COLUMN, Candidate, Illegal, Signals
@@ -28,7 +30,7 @@ def stretches(signals: Signals) -> list[slice]:
     """The stretches of record, in order: nothing is continuous from one to the next."""
     cuts = np.flatnonzero(np.diff(signals.segment)) + 1
     edges = [0, *cuts.tolist(), len(signals.segment)]
-    return [slice(a, b) for a, b in zip(edges[:-1], edges[1:]) if b > a]
+    return [slice(a, b) for a, b in itertools.pairwise(edges) if b > a]
 
 
 def derivative(values: np.ndarray, signals: Signals) -> np.ndarray:
@@ -153,7 +155,7 @@ def slow_enough(signals: Signals, joint: int, order: float) -> bool:
     speed = np.abs(signals.velocity[:, joint])
     moving = speed > max(3.0 * float(signals.velocity_noise[joint]), 1e-9)
     slow = order * speed / (2.0 * np.pi) < 25.0
-    return bool(np.count_nonzero(moving & slow) > 0.1 * max(np.count_nonzero(moving), 1))
+    return bool(np.count_nonzero(moving & slow) > 0.1 * max(int(np.count_nonzero(moving)), 1))
 
 
 def waves(signals: Signals, joint: int, order: float) -> bool:
@@ -206,7 +208,7 @@ def warming(signals, joint, column, values, mean, deviation, unit) -> list[Candi
     A record much shorter than T shows the slope alone, so that all such T look alike: of those
     beyond ten times the record's end none is kept.
     """
-    found = []
+    found: list[Candidate] = []
     end = float(signals.time[-1])
     for T in _TIME_CONSTANTS:
         if found and 10.0 * end < T and T > 30.0:

@@ -11,6 +11,7 @@ spectrum does not move, and none falls below the budget that quantisation gives.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -99,7 +100,7 @@ def fit_weights(
             width += _BAND
         edges.append(edges[-1] + width)
     measured, design = [], []
-    for low, high in zip(edges, edges[1:]):
+    for low, high in itertools.pairwise(edges):
         inside = np.concatenate([p[(f > low) & (f <= high)] for f, p in bands]) if bands else np.zeros(0)
         if len(inside) < _LEAST_LINES // 2:
             continue

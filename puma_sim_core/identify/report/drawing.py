@@ -8,6 +8,7 @@ enough that their letters stay readable on a phone. The same chart gives the sam
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -163,7 +164,7 @@ def decades(low: float, high: float) -> list[float]:
 
 def _tick_labels(values: Sequence[float]) -> list[str]:
     """All with the same decimals, as few as tell them apart."""
-    step = min((b - a for a, b in zip(values, values[1:])), default=1.0)
+    step = min((b - a for a, b in itertools.pairwise(values)), default=1.0)
     largest = max((abs(value) for value in values), default=0.0)
     if largest >= 1e5 or 0.0 < step < 1e-4:
         return [f"{value:.3g}".replace("-", MINUS) for value in values]
@@ -287,7 +288,7 @@ def thin(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return x, y
     edges = np.linspace(0, x.size, _BUCKETS + 1).astype(int)
     keep = set(np.flatnonzero(np.diff(np.isnan(y).astype(int)) == 1) + 1)
-    for first, last in zip(edges[:-1], edges[1:]):
+    for first, last in itertools.pairwise(edges):
         part = y[first:last]
         keep.update((first, last - 1))
         if not np.all(np.isnan(part)):

@@ -190,7 +190,7 @@ def _cylinder():
 
 
 def _gyration_definition():
-    dm, x, y, z = _cylinder()
+    dm, _x, y, z = _cylinder()
     inertia, mass = np.sum(dm * (y**2 + z**2)), np.sum(dm)
     k = np.sqrt(inertia / mass)
     return Evidence(
@@ -205,7 +205,7 @@ def _gyration_definition():
 
 
 def _gyration_distance():
-    dm, x, y, z = _cylinder()
+    dm, _x, y, z = _cylinder()
     inertia, mass = np.sum(dm * (y**2 + z**2)), np.sum(dm)
     k = np.sqrt(inertia / mass)
     return Evidence(
