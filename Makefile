@@ -13,9 +13,10 @@ BENCH_VENV ?= .venv-bench
 PYTHON ?=
 # a NumPy release to hold to, such as 1.26; empty: the newest that the other packages allow
 NUMPY ?=
-# the first test on a new machine waits for the whole kernel to be compiled
 TEST_TIMEOUT ?= 600
 PYTEST_ARGS ?=
+# processes that share the tests
+WORKERS ?= 2
 LOOP_ARGS ?=
 # records of make score, the seed of the first one (907000 and above), further options
 SCORE_COUNT ?= 340
@@ -39,12 +40,15 @@ INSTALLED := $(VENV)/.installed$(if $(NUMPY),-numpy-$(NUMPY))
 CANDIDATES := python3.12 python3.11 python3 python3.13 python3.10
 SUITABLE := import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 10))
 
-.PHONY: help run loop test docs score bench colcon js-readers clean distclean same-python
+.PHONY: help run loop test test-all test-long coverage lint docs score bench colcon js-readers clean distclean same-python
 
 help:
 	@echo "make run         move the simulated arm down a vertical line over ROS 2, record, replay"
 	@echo "make loop        record a session with a hidden effect, and find and name it from the bag"
-	@echo "make test        run the tests"
+	@echo "make test        run the quick tests, in two processes (WORKERS=2)"
+	@echo "make test-all    run all tests; make test-long: those that take long alone"
+	@echo "make coverage    lines of the core that the quick tests reach"
+	@echo "make lint        ruff, mypy, import-linter, codespell"
 	@echo "make docs        build the documentation site in build/docs; warnings are errors"
 	@echo "make score       explain fresh blind records, print how often that is right (an hour)"
 	@echo "make bench       speed beside other simulators (in its own environment, $(BENCH_VENV))"
@@ -119,11 +123,49 @@ run: $(INSTALLED)
 loop: $(INSTALLED)
 	@$(BIN)/python -m puma_sim_ros.loop_demo --out build/loop $(LOOP_ARGS)
 
-test: $(INSTALLED)
+# The kernel is compiled before the tests, so that no test waits for it.
+$(VENV)/.compiled: $(INSTALLED)
+	@echo "Compiling the kernel (up to two minutes, once for each state of its sources)"
+	@$(BIN)/python -m puma_sim_core.identify.compile_ahead
+
+.PHONY: $(VENV)/.compiled
+
+define pytest
 	@if [ -d build/js/node_modules ]; then \
 	    export PUMA_SIM_NODE_MODULES="$${PUMA_SIM_NODE_MODULES:-$(CURDIR)/build/js/node_modules}"; \
 	fi; \
-	$(BIN)/python -m pytest -q --timeout=$(TEST_TIMEOUT) $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -q -rs -n $(WORKERS) --dist loadgroup --timeout=$(TEST_TIMEOUT) $(1) $(PYTEST_ARGS)
+endef
+
+test: $(VENV)/.compiled
+	$(call pytest,-m "not long")
+
+test-all: $(VENV)/.compiled
+	$(call pytest,)
+
+test-long: $(VENV)/.compiled
+	$(call pytest,-m long)
+
+# Lines of the core that the quick tests reach, their processes with the interpreted kernel included.
+COVERED := --cov=puma_sim_core --cov-report=
+
+coverage: $(VENV)/.compiled
+	@rm -rf build/coverage && mkdir -p build/coverage
+	@export COVERAGE_FILE=$(CURDIR)/build/coverage/data; \
+	$(MAKE) --no-print-directory test PYTEST_ARGS="$(COVERED) $(PYTEST_ARGS)"; \
+	$(BIN)/python test/coverage_table.py
+
+$(VENV)/.lint: $(INSTALLED)
+	@$(PIP_INSTALL) -e '.[lint]' > $(VENV)/lint.log 2>&1 || { cat $(VENV)/lint.log; exit 1; }
+	@touch $@
+
+lint: $(VENV)/.lint
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check -q .
+	@$(BIN)/mypy -p puma_sim_core
+	@$(BIN)/lint-imports
+	@$(BIN)/codespell puma_sim_core puma_sim_ros benchmarks examples test/*.py docs/*.md docs/_ext README.md Makefile \
+	    setup.py CONTRIBUTING.md CHANGELOG.md
 
 $(VENV)/.docs: $(INSTALLED)
 	@$(PIP_INSTALL) -e '.[docs]' > $(VENV)/docs.log 2>&1 || { cat $(VENV)/docs.log; exit 1; }

@@ -75,6 +75,8 @@ setup(
         "test": [
             "pytest",
             "pytest-timeout",
+            "pytest-xdist",
+            "pytest-cov",
             "hypothesis",
             "jsonschema",
             "matplotlib",

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from puma_sim_core.arm.parameters import ArmParameters, Link
+from puma_sim_core.arm.arm import ArmParameters, Link
 
 
 def links(arm: ArmParameters) -> list[tuple[float, float, float]]:

@@ -17,7 +17,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from puma_sim_core.arm.parameters import ArmParameters as ArmParameters
+    from puma_sim_core.arm.arm import ArmParameters as ArmParameters
     from puma_sim_core.arm.parameters import load_parameters as load_parameters
     from puma_sim_core.arm.parameters import parameter_sets as parameter_sets
     from puma_sim_core.control.controllers import make_controller as make_controller
@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     from puma_sim_core.errors import PumaSimError as PumaSimError
     from puma_sim_core.errors import RecordingError as RecordingError
     from puma_sim_core.errors import TuningError as TuningError
-    from puma_sim_core.identify.data.ingest import Log as Log
     from puma_sim_core.identify.data.ingest import read_log as read_log
+    from puma_sim_core.identify.data.log import Log as Log
     from puma_sim_core.identify.explain import explain as explain
     from puma_sim_core.identify.report.output import write_explanation as write_explanation
     from puma_sim_core.identify.result import Detectable as Detectable
@@ -47,11 +47,11 @@ if TYPE_CHECKING:
     from puma_sim_core.identify.result import NamedEffect as NamedEffect
     from puma_sim_core.identify.result import Shape as Shape
     from puma_sim_core.plant.mechanism import Mechanism as Mechanism
-    from puma_sim_core.plant.mechanism import load_mechanism as load_mechanism
-    from puma_sim_core.plant.mechanism import mechanism_names as mechanism_names
+    from puma_sim_core.plant.mechanism_file import load_mechanism as load_mechanism
+    from puma_sim_core.plant.mechanism_file import mechanism_names as mechanism_names
+    from puma_sim_core.plant.model_file import dump_model as dump_model
+    from puma_sim_core.plant.model_file import load_model as load_model
     from puma_sim_core.plant.plant import Plant as Plant
-    from puma_sim_core.plant.plant import dump_model as dump_model
-    from puma_sim_core.plant.plant import load_model as load_model
     from puma_sim_core.recording.bag.reader import read_bag as read_bag
     from puma_sim_core.recording.bag.recover import recover as recover
     from puma_sim_core.recording.recording import Recording as Recording
@@ -80,9 +80,12 @@ __version__ = "0.1.0"
 
 #: module -> its public names; "name:other" makes `name` public as `other`
 _PUBLIC = {
-    "plant.plant": "Plant load_model dump_model",
-    "plant.mechanism": "Mechanism load_mechanism mechanism_names",
-    "arm.parameters": "ArmParameters load_parameters parameter_sets",
+    "plant.plant": "Plant",
+    "plant.model_file": "load_model dump_model",
+    "plant.mechanism": "Mechanism",
+    "plant.mechanism_file": "load_mechanism mechanism_names",
+    "arm.arm": "ArmParameters",
+    "arm.parameters": "load_parameters parameter_sets",
     "effects": "Effect load_effects parse_effect",
     "simulation.simulator": "Constraint Limits Simulator",
     "simulation.session": "Session SessionConfig",
@@ -91,7 +94,8 @@ _PUBLIC = {
     "recording.recording": "Recording read_csv write_csv",
     "recording.bag.reader": "read_bag",
     "recording.bag.recover": "recover",
-    "identify.data.ingest": "Log read_log",
+    "identify.data.log": "Log",
+    "identify.data.ingest": "read_log",
     "identify.explain": "explain",
     "identify.result": "Explanation NamedEffect Hypothesis Fault Shape Detectable",
     "identify.report.output": "write_explanation",

@@ -9,8 +9,8 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 
+from puma_sim_core.arm.arm import ArmParameters
 from puma_sim_core.arm.kinematics import elbow_position, wrist_position
-from puma_sim_core.arm.parameters import ArmParameters
 from puma_sim_core.recording.bag import BagContents
 from puma_sim_core.recording.recording import Recording
 

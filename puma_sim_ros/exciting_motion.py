@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.plant.mechanism_file import load_mechanism
 
 #: where the motion starts, and what it keeps around [rad]
 MIDDLE = (0.0, -1.2, 1.3)

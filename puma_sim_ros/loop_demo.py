@@ -25,8 +25,9 @@ import numpy as np
 from puma_sim_core.effects import Effect, parse_effect
 from puma_sim_core.errors import PumaSimError
 from puma_sim_core.identify.data.ingest import read_log
-from puma_sim_core.plant.mechanism import load_mechanism
-from puma_sim_core.plant.plant import Plant, dump_model, load_model
+from puma_sim_core.plant.mechanism_file import load_mechanism
+from puma_sim_core.plant.model_file import dump_model, load_model
+from puma_sim_core.plant.plant import Plant
 from puma_sim_ros.exciting_motion import MIDDLE
 from puma_sim_ros.two_programs import ProgramError, environment, run_session
 

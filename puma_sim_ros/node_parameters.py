@@ -22,7 +22,8 @@ from puma_sim_core.dynamics.pid import PidGains
 from puma_sim_core.dynamics.servo import DEFAULT_GAINS, ServoConfig
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.errors import ParameterError, PumaSimError
-from puma_sim_core.plant.plant import Plant, load_model
+from puma_sim_core.plant.model_file import load_model
+from puma_sim_core.plant.plant import Plant
 from puma_sim_core.simulation.session import SessionConfig
 
 

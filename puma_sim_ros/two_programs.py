@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -90,10 +91,8 @@ def run_session(
             time.sleep(0.05)
         _check(other.poll() == 0, "the controller failed", logs[controller])
         node.send_signal(signal.SIGINT)
-        try:
+        with contextlib.suppress(subprocess.TimeoutExpired):
             node.wait(timeout=10.0)
-        except subprocess.TimeoutExpired:
-            pass
         _check(node.poll() == 0, "sim_node did not end well", logs["sim_node"])
     finally:
         for process in (other, node):

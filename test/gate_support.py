@@ -13,8 +13,8 @@ from math import pi
 import numpy as np
 
 from puma_sim_core.control.setpoints import smooth_share
-from puma_sim_core.identify.data.ingest import Log
-from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.identify.data.log import Log
+from puma_sim_core.plant.mechanism_file import load_mechanism
 from puma_sim_core.simulation.simulator import Simulator
 
 QUANTUM = np.array([1.0e-4, 5.8e-5, 1.2e-4])

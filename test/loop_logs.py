@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from puma_sim_core.identify.data.ingest import Log
+from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.data.sampling import sample
 from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.screening.problem import Problem

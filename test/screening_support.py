@@ -11,7 +11,7 @@ import numpy as np
 from puma_sim_core.arm.rigid_body import inertia
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.effects.screening import TORQUE_COLUMN, Signals
-from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.plant.mechanism_file import load_mechanism
 from puma_sim_core.simulation.simulator import Simulator
 
 STEP = 5e-4

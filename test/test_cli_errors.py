@@ -12,7 +12,8 @@ from cli_support import HEADER, call, contents, puma_sim, random_volts, write_vo
 
 from puma_sim_core.arm.parameters import load_parameters, to_mapping
 from puma_sim_core.files import yaml_text
-from puma_sim_core.plant.plant import Plant, dump_model
+from puma_sim_core.plant.model_file import dump_model
+from puma_sim_core.plant.plant import Plant
 
 GOOD = f"{HEADER}\n0,1,2,3\n0.5,1,2,3\n1,0,0,0\n"
 

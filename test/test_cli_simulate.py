@@ -19,7 +19,7 @@ from arm_reference import START, VISCOUS, plant_of, right_hand_side
 from cli_support import HEADER, ROOT, call, contents, puma_sim, random_volts, read_run, states, triple, write_volts
 from scipy.integrate import solve_ivp
 
-from puma_sim_core.plant.plant import dump_model
+from puma_sim_core.plant.model_file import dump_model
 from puma_sim_core.recording.recording import read_csv
 from puma_sim_core.simulation.run_inputs import GREATEST_STEP
 

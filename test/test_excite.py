@@ -15,7 +15,7 @@ from puma_sim_core.cli import main, parser
 from puma_sim_core.effects import KINDS, parse_effect
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.identify import explain
-from puma_sim_core.identify.data.ingest import Log
+from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.data.sampling import sample
 from puma_sim_core.identify.experiment.design import design, suspects_of
 from puma_sim_core.identify.experiment.excitation import Builder, Limits, voltages
@@ -26,8 +26,8 @@ from puma_sim_core.identify.screening.evidence import screen
 from puma_sim_core.identify.screening.problem import Problem
 from puma_sim_core.identify.screening.search import Search
 from puma_sim_core.identify.settings import SELECTION
-from puma_sim_core.plant.mechanism import load_mechanism
-from puma_sim_core.plant.plant import dump_model
+from puma_sim_core.plant.mechanism_file import load_mechanism
+from puma_sim_core.plant.model_file import dump_model
 from puma_sim_core.recording.recording import read_csv
 from puma_sim_core.simulation.simulator import SERVO_PERIOD, Simulator
 

@@ -22,7 +22,7 @@ from screening_support import recorded, signals_of, torque_per_ampere
 from puma_sim_core.effects import KINDS, Effect, parse_effect
 from puma_sim_core.effects.base import Role
 from puma_sim_core.identify.screening.known_effects import known_voltage
-from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.plant.mechanism_file import load_mechanism
 from puma_sim_core.plant.one_joint import OneJoint, OneJointPlant
 from puma_sim_core.simulation.batch import run_batch
 from puma_sim_core.simulation.simulator import Constraint, Simulator
@@ -240,7 +240,7 @@ if sys.argv[1] == "weight":
     weight = Law(Point.POSE_LEVEL, lambda p, k, q, gravity, torque: p[k] * abs(gravity))
     laws = tuple(weight if law.point is Point.POSE_LEVEL else law for law in KINDS[name].laws)
     KINDS[name] = replace(KINDS[name], laws=laws)
-from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.plant.mechanism_file import load_mechanism
 from puma_sim_core.plant.plant import Plant
 from puma_sim_core.simulation.simulator import Simulator
 
@@ -339,7 +339,7 @@ def pendulum_signals(mechanism, run, voltage):
 
 def test_the_explainer_names_the_load_that_made_the_log():
     """Screening of both loads on a log of the pendulum: the right one has the evidence."""
-    from puma_sim_core.identify.data.ingest import Log
+    from puma_sim_core.identify.data.log import Log
     from puma_sim_core.identify.data.sampling import sample
     from puma_sim_core.identify.screening.problem import Problem
     from puma_sim_core.identify.screening.search import Search

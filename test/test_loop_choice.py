@@ -20,7 +20,7 @@ from puma_sim_core.identify.screening.evidence import Scored
 from puma_sim_core.identify.selection.elimination import Elimination
 from puma_sim_core.identify.selection.selection import Selection, noise_refused
 from puma_sim_core.identify.selection.state import Chosen, SelectionState, Stage
-from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.plant.mechanism_file import load_mechanism
 
 A, B = ("coulomb_friction", 1), ("impulse", 2)
 

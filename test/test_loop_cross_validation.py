@@ -14,7 +14,7 @@ from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionF
 from puma_sim_core.identify.screening.problem import Problem
 from puma_sim_core.identify.selection.cross_validation import CrossValidation, Fold, WeightedModel
 from puma_sim_core.identify.selection.validate import Validation
-from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.plant.mechanism_file import load_mechanism
 
 pytestmark = pytest.mark.long
 NOISE = 0.05

@@ -20,7 +20,7 @@ from puma_sim_core.identify.screening.evidence import Scored
 from puma_sim_core.identify.selection.refits import Refits
 from puma_sim_core.identify.selection.state import SelectionState, Stage
 from puma_sim_core.identify.settings import FITTING
-from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.plant.mechanism_file import load_mechanism
 
 pytestmark = pytest.mark.long
 NOISE = 0.02

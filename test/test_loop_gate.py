@@ -17,8 +17,9 @@ from gate_support import SERVO, moves, record, waves
 
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.identify.checks.gate import check
-from puma_sim_core.identify.data.ingest import Log, parse_columns, read_log
-from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.identify.data.ingest import parse_columns, read_log
+from puma_sim_core.identify.data.log import Log
+from puma_sim_core.plant.mechanism_file import load_mechanism
 
 pytestmark = pytest.mark.long
 PUMA, PENDULUM, SLIDE = (load_mechanism(name) for name in ("puma560", "pendulum", "slide"))

@@ -16,8 +16,9 @@ from puma_sim_core.effects import parse_effect
 from puma_sim_core.errors import BagError, PumaSimError, RecordingError
 from puma_sim_core.identify import explain
 from puma_sim_core.identify.checks.gate import check
-from puma_sim_core.identify.data.ingest import GREATEST_ROWS, encoder_step, parse_columns, read_log
-from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.identify.data.ingest import GREATEST_ROWS, parse_columns, read_log
+from puma_sim_core.identify.data.log import encoder_step
+from puma_sim_core.plant.mechanism_file import load_mechanism
 from puma_sim_core.plant.plant import Plant
 from puma_sim_core.recording import csv_rows
 from puma_sim_core.simulation.session import Session, SessionConfig
@@ -166,7 +167,7 @@ _PEAK = """
 import resource, sys
 from puma_sim_core.identify.checks.gate import check
 from puma_sim_core.identify.data.ingest import read_log
-from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.plant.mechanism_file import load_mechanism
 log = read_log(sys.argv[1])
 _, notes = check(log, load_mechanism())
 print(len(log), sum(log.time[1:] <= log.time[:-1]), sum("were read" in note for note in notes),

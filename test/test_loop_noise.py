@@ -9,14 +9,14 @@ import pytest
 from scipy.signal import lfilter, oaconvolve
 
 from puma_sim_core.effects import parse_effect
-from puma_sim_core.identify.data.ingest import Log
+from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.fitting import intervals
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
 from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.noise import colour
 from puma_sim_core.identify.noise.weighting import Weighting
 from puma_sim_core.identify.residuals import shape
-from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.plant.mechanism_file import load_mechanism
 from puma_sim_core.simulation.simulator import Simulator
 
 pytestmark = pytest.mark.long

@@ -29,7 +29,7 @@ from puma_sim_core.identify.report.json import report_text
 from puma_sim_core.identify.report.output import check_folder, write_explanation
 from puma_sim_core.identify.report.text import estimate, number, quantity
 from puma_sim_core.identify.result import VERDICTS, Interval, NamedEffect
-from puma_sim_core.plant.plant import load_model
+from puma_sim_core.plant.model_file import load_model
 from puma_sim_core.resources import config_path
 
 COMMON = ("found", "errors", "residual", "ranking", "whiteness", "unseen", "logs")

@@ -15,7 +15,7 @@ from puma_sim_core.identify import explain
 from puma_sim_core.identify.fitting.prediction import Fitted, Point
 from puma_sim_core.identify.residuals.shape import Curve, again, noise, simplest_first
 from puma_sim_core.identify.residuals.unnamed import Unnamed
-from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.plant.mechanism_file import load_mechanism
 
 pytestmark = pytest.mark.timeout(600)
 ARM = load_mechanism("puma560")

@@ -9,13 +9,13 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from puma_sim_core.identify.data import filters
-from puma_sim_core.identify.data.ingest import Log
+from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.data.sampling import sample
 from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
 from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.noise import noise
 from puma_sim_core.identify.screening.evidence import Base, log_gain
-from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.plant.mechanism_file import load_mechanism
 from puma_sim_core.simulation.simulator import Simulator
 
 pytestmark = pytest.mark.long

@@ -13,13 +13,13 @@ from mechanism_support import NAMES
 from scipy.linalg import solve_discrete_lyapunov
 
 from puma_sim_core.effects import parse_effect
-from puma_sim_core.identify.data.ingest import Log
+from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.data.sampling import sample
 from puma_sim_core.identify.fitting.predictor import _settled, stable_step
 from puma_sim_core.identify.screening.problem import Problem
 from puma_sim_core.identify.selection.validate import position_floor, rms
 from puma_sim_core.identify.settings import SELECTION
-from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.plant.mechanism_file import load_mechanism
 from puma_sim_core.simulation.simulator import Simulator
 
 pytestmark = pytest.mark.long

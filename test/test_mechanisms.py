@@ -18,9 +18,10 @@ from puma_sim_core.effects import parse_effect
 from puma_sim_core.errors import ModelError, ParameterError, PumaSimError
 from puma_sim_core.files import yaml_text
 from puma_sim_core.identify.screening.known_effects import known_voltage
-from puma_sim_core.plant.mechanism import load_mechanism, mechanism_names
+from puma_sim_core.plant.mechanism_file import load_mechanism, mechanism_names
+from puma_sim_core.plant.model_file import dump_model, load_model, plant_of_mapping
 from puma_sim_core.plant.one_joint import OneJoint
-from puma_sim_core.plant.plant import Plant, dump_model, load_model
+from puma_sim_core.plant.plant import Plant
 from puma_sim_core.recording.recording import Recording, write_csv
 from puma_sim_core.resources import config_path
 from puma_sim_core.simulation.simulator import Simulator
@@ -310,7 +311,7 @@ def test_errors_of_mechanism_and_model_files(tmp_path):
     model = pendulum().to_mapping()
     del model["mechanism"]["drive"]
     with pytest.raises(ModelError, match="here mechanism: drive: missing"):
-        Plant.from_mapping(model, "here")
+        plant_of_mapping(model, "here")
 
 
 def test_simulate_takes_a_model_of_one_joint(tmp_path, capsys):

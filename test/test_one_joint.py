@@ -17,7 +17,7 @@ from scipy.special import ellipk
 
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.errors import ParameterError
-from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.plant.mechanism_file import load_mechanism
 from puma_sim_core.plant.plant import Plant
 from puma_sim_core.simulation.simulator import Simulator
 
@@ -187,7 +187,7 @@ def test_what_a_single_joint_refuses():
 
 BITS = """
 import numpy as np
-from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.plant.mechanism_file import load_mechanism
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.simulation.simulator import Simulator
 for name in ("pendulum", "slide"):

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 import yaml
 
+from puma_sim_core.arm.arm import Link
 from puma_sim_core.arm.parameters import (
-    Link,
     check_parameters,
     dump_parameters,
     from_mapping,

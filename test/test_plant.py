@@ -15,7 +15,8 @@ from puma_sim_core.arm.parameters import load_parameters, parameter_sets
 from puma_sim_core.effects import KINDS, Effect
 from puma_sim_core.errors import ModelError, ParameterError
 from puma_sim_core.files import parse_yaml, yaml_text
-from puma_sim_core.plant.plant import MODEL_FORMAT, Plant, dump_model, load_model
+from puma_sim_core.plant.model_file import dump_model, load_model
+from puma_sim_core.plant.plant import MODEL_FORMAT, Plant
 from puma_sim_core.simulation.simulator import Simulator
 
 ALL_EFFECTS = (

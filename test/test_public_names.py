@@ -50,7 +50,7 @@ def test_a_public_name_is_the_object_of_its_module():
 
 def test_an_unknown_name_is_refused():
     with pytest.raises(AttributeError, match="no attribute 'simulate_all'"):
-        ps.simulate_all  # noqa: B018
+        ps.simulate_all
 
 
 def test_type_checkers_see_the_same_names():

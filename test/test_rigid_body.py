@@ -16,8 +16,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from puma_sim_core.arm import printed_coefficients as printed
+from puma_sim_core.arm.arm import Link
 from puma_sim_core.arm.kinematics import dh_table, dh_transform
-from puma_sim_core.arm.parameters import Link, load_parameters, parameter_sets
+from puma_sim_core.arm.parameters import load_parameters, parameter_sets
 from puma_sim_core.arm.rigid_body import (
     arm_pseudo_inertias,
     arm_table,

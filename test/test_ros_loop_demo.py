@@ -18,8 +18,8 @@ from ros_support import Node, Peer, environment, run_program, step_of
 
 from puma_sim_core.identify.data import bag_log
 from puma_sim_core.identify.data.ingest import read_log
-from puma_sim_core.plant.mechanism import load_mechanism
-from puma_sim_core.plant.plant import load_model
+from puma_sim_core.plant.mechanism_file import load_mechanism
+from puma_sim_core.plant.model_file import load_model
 from puma_sim_ros.exciting_motion import MIDDLE, expected_volts, motion
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(600)]

@@ -27,7 +27,7 @@ from two_mass_support import (
 from puma_sim_core.arm.rigid_body import gravity_torque, inertia
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.effects.shared.drive_train import gear_output, in_series, transmitted
-from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.plant.mechanism_file import load_mechanism
 from puma_sim_core.plant.one_joint import OneJointPlant
 from puma_sim_core.simulation.simulator import Constraint, Simulator
 

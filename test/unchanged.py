@@ -55,7 +55,7 @@ PLACES = {
     "KINDS": ("effects.registry", "effects"),
     "parse_effect": ("effects.registry", "effects"),
     "Plant": ("plant.plant", "plant"),
-    "load_mechanism": ("plant.mechanism", "plant.mechanisms", "mechanisms"),
+    "load_mechanism": ("plant.mechanism_file", "plant.mechanism", "mechanisms"),
     "load_parameters": ("arm.parameters", "parameters"),
     "Simulator": ("simulation.simulator", "simulator"),
     "run_batch": ("simulation.batch", "batch"),

@@ -9,7 +9,7 @@ from math import acos, atan2, cos, hypot, pi, sin, sqrt
 
 import numpy as np
 
-from puma_sim_core.arm.parameters import ArmParameters
+from puma_sim_core.arm.arm import ArmParameters
 from puma_sim_core.errors import ParameterError
 
 #: a cosine beyond +-1 by no more than this is rounding at full stretch

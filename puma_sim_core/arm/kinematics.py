@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from puma_sim_core.arm.parameters import ArmParameters
+from puma_sim_core.arm.arm import ArmParameters
 
 #: twist of each link [rad], section 2.3
 _ALPHA = np.radians([-90.0, 0.0, 90.0, -90.0, 90.0, 0.0])

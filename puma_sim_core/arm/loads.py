@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from puma_sim_core.arm.parameters import ArmParameters
+from puma_sim_core.arm.arm import ArmParameters
 
 
 def with_point_mass(arm: ArmParameters, mass: float, x: float, y: float, z: float) -> ArmParameters:

@@ -13,11 +13,12 @@ import math
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+from puma_sim_core.arm.arm import ArmParameters, Link, Motor
+from puma_sim_core.arm.rigid_body import inertia
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.files import read_yaml, write_yaml
 from puma_sim_core.resources import config_path
@@ -39,88 +40,6 @@ _VECTORS = {"centre", "gyration_squared", "products"}
 _POSITIVE = {"mass", "resistance", "inductance", "back_emf", "torque_constant", "gear_ratio"}
 _NOT_NEGATIVE = {"gyration_squared", "inertia"}
 _TOP_KEYS = ("name", "source", "geometry", "gravity", "links", "motors", "joint_ranges", "suggested_effects")
-
-
-@dataclass(frozen=True)
-class Link:
-    """Mass and its distribution, in the frame of the link (section 2.2: distal frames).
-
-    mass [kg]; centre (x, y, z) of mass [m]; gyration_squared (xx, yy, zz) [m^2], the squares of the
-    radii of gyration about the axes of the link frame; products (xy, yz, xz) [m^2], each the mean
-    of the product of the two coordinates over the mass, about the same origin.
-    """
-
-    mass: float
-    centre: tuple[float, float, float]
-    gyration_squared: tuple[float, float, float]
-    products: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-    @property
-    def pseudo_inertia(self) -> np.ndarray:
-        """(4, 4) matrix of the integrals of r r' dm with r = (x, y, z, 1); equation 3.8.
-
-        Units: kg.m^2 in the upper left 3 x 3, kg.m in the last row and column, kg in the corner.
-        """
-        kxx, kyy, kzz = self.gyration_squared
-        pxy, pyz, pxz = self.products
-        x, y, z = self.centre
-        return self.mass * np.array(
-            [
-                [(kyy + kzz - kxx) / 2, pxy, pxz, x],
-                [pxy, (kzz + kxx - kyy) / 2, pyz, y],
-                [pxz, pyz, (kxx + kyy - kzz) / 2, z],
-                [x, y, z, 1.0],
-            ]
-        )
-
-
-@dataclass(frozen=True)
-class Motor:
-    """One permanent-magnet motor with its gears (section 5.1).
-
-    resistance [ohm], inductance [H], back_emf [V.s/rad] and torque_constant [N.m/A] at the motor
-    shaft, gear_ratio [-] (turns of the motor for one of the joint), inertia [kg.m^2] of rotor and
-    gears reflected to the joint (Ia).
-    """
-
-    resistance: float
-    inductance: float
-    back_emf: float
-    torque_constant: float
-    gear_ratio: float
-    inertia: float
-
-
-@dataclass(frozen=True)
-class ArmParameters:
-    """Three links and three motors; a value, never changed after it is made.
-
-    a2, a3, d3 [m]: Denavit-Hartenberg lengths (d2 = 0); d4 [m]: from the elbow to the wrist, used
-    by the six-link kinematics; gravity [m/s^2], down the base axis z0; joint_ranges ((lo, hi), ...)
-    [rad]; suggested_effects: effect strings that the source gives beside its rigid body, kept for
-    whoever wants them and not active.
-
-    ``sources`` maps the key of a number in the file to (value, source text); it takes no part in
-    comparisons, and a number that was replaced since no longer has a source.
-    """
-
-    name: str
-    source: str
-    links: tuple[Link, Link, Link]
-    motors: tuple[Motor, Motor, Motor]
-    a2: float
-    a3: float
-    d3: float
-    d4: float
-    gravity: float
-    joint_ranges: tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
-    suggested_effects: tuple[str, ...] = ()
-    sources: Mapping[str, tuple] = field(default_factory=dict, compare=False, repr=False)
-
-    @property
-    def motor_inertia(self) -> np.ndarray:
-        """(3,) Ia [kg.m^2], the motor inertias at the joints."""
-        return np.array([motor.inertia for motor in self.motors])
 
 
 def parameter_sets() -> list[str]:
@@ -279,9 +198,6 @@ def smallest_eigenvalue(parameters: ArmParameters) -> tuple[float, float, float]
     D does not depend on q1. The grid of 5 degrees is followed by three grids, each about the lowest
     pose of the one before.
     """
-    # the rigid body is built on the parameters, so its module can be loaded only now
-    from puma_sim_core.arm.rigid_body import inertia
-
     added = np.diag(parameters.motor_inertia)
     low, high = (np.array(ends, dtype=float) for ends in zip(*parameters.joint_ranges[1:]))
     count = np.ceil((high - low) / math.radians(_POSE_STEP)).astype(int) + 1

@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from puma_sim_core.arm.arm import ArmParameters
 from puma_sim_core.arm.kinematics import dh_table, first_derivatives, second_derivatives
-from puma_sim_core.arm.parameters import ArmParameters
 
 
 class Lumps(NamedTuple):

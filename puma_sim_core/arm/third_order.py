@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from puma_sim_core.arm.parameters import ArmParameters
+from puma_sim_core.arm.arm import ArmParameters
 from puma_sim_core.arm.rigid_body import coriolis, gravity_torque, inertia
 from puma_sim_core.errors import ParameterError
 

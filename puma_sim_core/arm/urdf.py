@@ -20,7 +20,7 @@ import math
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 
-from puma_sim_core.arm.parameters import ArmParameters
+from puma_sim_core.arm.arm import ArmParameters
 
 _HALF_TURN = math.pi / 2
 #: height of the shoulder above the floor [m]; it is drawn only

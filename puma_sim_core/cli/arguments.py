@@ -80,7 +80,8 @@ def add_plant_arguments(parser: argparse.ArgumentParser) -> None:
 def plant_of(options: argparse.Namespace) -> Plant:
     """The plant of the options; raises ParameterError or ModelError."""
     from puma_sim_core.effects import parse_effect
-    from puma_sim_core.plant.plant import Plant, load_model
+    from puma_sim_core.plant.model_file import load_model
+    from puma_sim_core.plant.plant import Plant
 
     effects = tuple(parse_effect(text) for text in options.effect)
     if options.model is None:

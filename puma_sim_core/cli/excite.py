@@ -85,7 +85,7 @@ def run(options: argparse.Namespace) -> int:
 
     from puma_sim_core.identify.experiment.design import design, suspects_of
     from puma_sim_core.identify.experiment.excitation import Limits
-    from puma_sim_core.plant.mechanism import load_mechanism
+    from puma_sim_core.plant.mechanism_file import load_mechanism
     from puma_sim_core.simulation.simulator import SERVO_PERIOD
 
     mechanism = load_mechanism(options.plant, parameters=options.parameters, model=options.model)

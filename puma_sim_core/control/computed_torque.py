@@ -27,7 +27,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from math import cos, exp, inf, isfinite, sin
 
-from puma_sim_core.arm.parameters import ArmParameters
+from puma_sim_core.arm.arm import ArmParameters
 from puma_sim_core.control.reference import SetpointReference
 from puma_sim_core.dynamics.rigid import rigid_body
 from puma_sim_core.errors import ParameterError

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from copy import deepcopy
 from math import inf
 
-from puma_sim_core.arm.parameters import ArmParameters
+from puma_sim_core.arm.arm import ArmParameters
 from puma_sim_core.control.computed_torque import ComputedTorque
 from puma_sim_core.control.scheduled import GainSchedule, ScheduledPid
 from puma_sim_core.dynamics.pid import Pid, PidGains

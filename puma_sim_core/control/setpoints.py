@@ -11,9 +11,9 @@ from math import ceil, isfinite
 
 import numpy as np
 
+from puma_sim_core.arm.arm import ArmParameters
 from puma_sim_core.arm.inverse_kinematics import wrist_angles
 from puma_sim_core.arm.kinematics import wrist_position
-from puma_sim_core.arm.parameters import ArmParameters
 from puma_sim_core.errors import ParameterError
 
 

@@ -36,7 +36,7 @@ from puma_sim_core.errors import ParameterError
 if TYPE_CHECKING:
     import numpy as np
 
-    from puma_sim_core.arm.parameters import ArmParameters
+    from puma_sim_core.arm.arm import ArmParameters
     from puma_sim_core.effects.screening import Screening, Signals
 
 #: where an effect acts

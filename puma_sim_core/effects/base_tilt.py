@@ -13,7 +13,7 @@ from puma_sim_core.effects.shared.columns import bounded, candidate
 from puma_sim_core.jit import inlined
 
 if TYPE_CHECKING:
-    from puma_sim_core.arm.parameters import ArmParameters
+    from puma_sim_core.arm.arm import ArmParameters
 
 
 def tilt_constants(arm: ArmParameters, x: float, y: float) -> tuple[float, ...]:

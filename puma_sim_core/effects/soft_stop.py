@@ -72,7 +72,7 @@ def soft_stop(signals: Signals, joint: int) -> list[Candidate]:
 
 
 def fitted(names: list[str], values: Mapping[str, float], lowest: float, highest: float) -> list[str]:
-    """Parameters that a log tells of: the stiffness, and the stops that its motion (lowest to highest position) meets."""
+    """Parameters that a log tells of: the stiffness, and the stops that its motion from lowest to highest meets."""
     met = {"stiffness": True, "lower": values["lower"] > lowest, "upper": values["upper"] < highest}
     return [name for name in names if met.get(name, False)]
 

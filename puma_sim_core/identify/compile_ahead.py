@@ -14,11 +14,11 @@ import numpy as np
 
 from puma_sim_core.effects import KINDS, parse_effect
 from puma_sim_core.effects.base import Stage
-from puma_sim_core.identify.data.ingest import Log
+from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.data.sampling import sample
 from puma_sim_core.identify.screening.known_effects import known_voltage
 from puma_sim_core.identify.screening.problem import Problem
-from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.plant.mechanism_file import load_mechanism
 from puma_sim_core.simulation.simulator import Simulator
 from puma_sim_core.simulation.tracking import innovations
 

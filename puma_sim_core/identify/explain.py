@@ -18,7 +18,8 @@ from puma_sim_core.errors import RecordingError
 from puma_sim_core.identify.checks import feedback
 from puma_sim_core.identify.checks.gate import check
 from puma_sim_core.identify.checks.wrong_zero import wrong_zeros
-from puma_sim_core.identify.data.ingest import Log, read_log
+from puma_sim_core.identify.data.ingest import read_log
+from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.fitting import intervals
 from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
 from puma_sim_core.identify.fitting.trials import Trials
@@ -34,7 +35,7 @@ from puma_sim_core.identify.selection.cross_validation import CrossValidation, W
 from puma_sim_core.identify.selection.selection import Selection
 from puma_sim_core.identify.selection.state import SelectionState
 from puma_sim_core.identify.selection.validate import rms
-from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.plant.mechanism_file import load_mechanism
 
 #: paths of CSV files or bags, or logs; one or several
 Logs = str | os.PathLike[str] | Log | Iterable[str | os.PathLike[str] | Log]

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from puma_sim_core.effects import KINDS, Kind
-from puma_sim_core.identify.data.ingest import Log
+from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.data.sampling import sample
 from puma_sim_core.identify.fitting.predictor import Predictor, RowChoice
 from puma_sim_core.identify.screening.problem import Problem

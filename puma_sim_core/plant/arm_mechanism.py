@@ -16,8 +16,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from puma_sim_core.arm.arm import ArmParameters, Link, Motor
 from puma_sim_core.arm.loads import with_point_mass
-from puma_sim_core.arm.parameters import ArmParameters, Link, Motor
 from puma_sim_core.arm.rigid_body import Lumps, lumped_constants
 from puma_sim_core.effects import VISCOUS, Effect
 from puma_sim_core.errors import ParameterError

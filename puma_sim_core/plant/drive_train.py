@@ -10,7 +10,8 @@ from math import ceil, floor, log10, sqrt
 
 import numpy as np
 
-from puma_sim_core.arm.parameters import ArmParameters, smallest_eigenvalue
+from puma_sim_core.arm.arm import ArmParameters
+from puma_sim_core.arm.parameters import smallest_eigenvalue
 from puma_sim_core.arm.rigid_body import inertia
 from puma_sim_core.effects import Effect
 from puma_sim_core.effects.base import Train

@@ -14,18 +14,15 @@ at once. A model that already holds effects keeps them: they are in the plants, 
 
 from __future__ import annotations
 
-import os
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from puma_sim_core.errors import ParameterError
-from puma_sim_core.resources import config_path
 
 if TYPE_CHECKING:
     from puma_sim_core.effects import Effect
@@ -243,53 +240,3 @@ class Mechanism(ABC):
         result += self.total_torque(theta, q, qd, qdd)[:, :, None] * slopes.volts_per_torque
         result += np.asarray(qd)[:, :, None] * slopes.emf
         return result
-
-
-def mechanism_names() -> list[str]:
-    """Names of the mechanisms of the house, the default one first."""
-    names = sorted(path.stem for path in config_path("mechanisms").glob("*.yaml"))
-    return sorted(names, key=lambda name: name != "puma560")
-
-
-def load_mechanism(
-    name_or_path: str | os.PathLike = "puma560",
-    *,
-    parameters: str | None = None,
-    model: str | os.PathLike | None = None,
-) -> Mechanism:
-    """Read and check a mechanism of the house by its name, or a file by its path.
-
-    Parameters
-    ----------
-    parameters : published set or parameter file of an arm whose numbers are the start.
-    model : model file whose numbers and effects are the start.
-
-    Raises
-    ------
-    ParameterError, ModelError : no such mechanism or file, or one that is not usable; names the
-        file and the key.
-    """
-    from puma_sim_core.arm.parameters import load_parameters
-    from puma_sim_core.plant.mechanism_file import read_mechanism
-    from puma_sim_core.plant.plant import load_model
-
-    path, names = Path(name_or_path), mechanism_names()
-    if str(name_or_path) in names:
-        path = config_path("mechanisms", f"{name_or_path}.yaml")
-    elif not path.is_file():
-        raise ParameterError(
-            f"no mechanism or file '{name_or_path}'", expected=f"the path of a YAML file or one of {', '.join(names)}"
-        )
-    mechanism = read_mechanism(path)
-    if parameters is not None:
-        from puma_sim_core.plant.arm_mechanism import ArmMechanism
-
-        if not isinstance(mechanism, ArmMechanism):
-            raise ParameterError(
-                f"parameters '{parameters}' with mechanism '{mechanism.name}'",
-                expected="parameters of an arm with an arm only",
-            )
-        mechanism = mechanism.with_arm(load_parameters(parameters))
-    if model is not None:
-        mechanism = mechanism.of_plant(load_model(model))
-    return mechanism

@@ -14,7 +14,6 @@ width of the prior of each sort of number as a share of it.
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -23,7 +22,12 @@ from puma_sim_core.arm.parameters import load_parameters
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.files import read_yaml
 from puma_sim_core.plant.arm_mechanism import WIDTHS, ArmMechanism
+from puma_sim_core.plant.entries import Reader
 from puma_sim_core.plant.mechanism import MECHANISM_FORMAT, Mechanism
+from puma_sim_core.plant.model_file import load_model
+from puma_sim_core.plant.one_joint import OneJoint
+from puma_sim_core.plant.one_joint_mechanism import OneJointMechanism
+from puma_sim_core.resources import config_path
 
 KINDS = ("arm", "pendulum", "slide")
 
@@ -45,9 +49,6 @@ def read_mechanism(path: str | os.PathLike) -> Mechanism:
         reader.fail("kind", f"{kind!r}"[:80], f"one of {', '.join(KINDS)}")
     if kind == "arm":
         return _arm(reader, mapping, Path(path).parent)
-    from puma_sim_core.plant.one_joint import OneJoint
-    from puma_sim_core.plant.one_joint_mechanism import OneJointMechanism
-
     return OneJointMechanism.of(OneJoint.from_mapping(mapping, str(path)))
 
 
@@ -70,56 +71,45 @@ def _arm(reader: Reader, mapping: Mapping, folder: Path) -> ArmMechanism:
     return ArmMechanism.of(arm, viscous, widths, scale, name=reader.text(mapping["name"], "name"))
 
 
-class Reader:
-    """Reads entries of a file and names their keys in errors (ParameterError)."""
+def mechanism_names() -> list[str]:
+    """Names of the mechanisms of the house, the default one first."""
+    names = sorted(path.stem for path in config_path("mechanisms").glob("*.yaml"))
+    return sorted(names, key=lambda name: name != "puma560")
 
-    def __init__(self, where: str | None):
-        self.where = where
 
-    def fail(self, key: str, what: str, expected: str):
-        """Raise, with the place and the key."""
-        place = ": ".join(part for part in (self.where, key) if part)
-        raise ParameterError(what, where=place or None, expected=expected)
+def load_mechanism(
+    name_or_path: str | os.PathLike = "puma560",
+    *,
+    parameters: str | None = None,
+    model: str | os.PathLike | None = None,
+) -> Mechanism:
+    """Read and check a mechanism of the house by its name, or a file by its path.
 
-    def keys(self, mapping, key: str, names, optional=()) -> None:
-        """Check that a mapping has all of `names`, but for `optional`, and no others."""
-        if not isinstance(mapping, Mapping):
-            self.fail(key, f"{mapping!r}"[:80], f"a mapping with the keys {', '.join(names)}")
-        for name in mapping:
-            if name not in names:
-                self.fail(f"{key}.{name}" if key else str(name), "unknown key", f"one of {', '.join(names)}")
-        for name in names:
-            if name not in mapping and name not in optional:
-                self.fail(f"{key}.{name}" if key else name, "missing", f"this key in {key}" if key else "this key")
+    Parameters
+    ----------
+    parameters : published set or parameter file of an arm whose numbers are the start.
+    model : model file whose numbers and effects are the start.
 
-    def text(self, value, key: str) -> str:
-        """A text that is not empty."""
-        if not isinstance(value, str) or not value:
-            self.fail(key, f"{value!r}"[:80], "text")
-        return value
-
-    def number(self, value, key: str, low: float = -math.inf, high: float = math.inf) -> float:
-        """A finite number from low to high."""
-        usable = isinstance(value, (int, float)) and not isinstance(value, bool)
-        if not usable or abs(value) > 1e300 or not low <= value <= high:
-            bounds = "" if (low, high) == (-math.inf, math.inf) else f" from {low:g} to {high:g}"
-            self.fail(key, f"{value!r}"[:80], f"a finite number{bounds}")
-        return float(value)
-
-    def entry(self, entry, key: str, unit: str, further=()) -> Mapping:
-        """The mapping {value, unit, source} of a number, with the right unit."""
-        if not isinstance(entry, Mapping):
-            self.fail(key, f"{entry!r} without a unit"[:80], f"{{value: ..., unit: {unit}, source: ...}}")
-        self.keys(entry, key, ("value", "unit", "source", *further), optional=("source", *further))
-        if str(entry["unit"]) != unit:
-            self.fail(f"{key}.unit", f"unit '{entry['unit']}'"[:80], unit)
-        if "source" in entry:
-            self.text(entry["source"], f"{key}.source")
-        return entry
-
-    def triple(self, entry, key: str, unit: str, low: float) -> tuple[float, ...]:
-        """Three numbers of at least `low`."""
-        values = self.entry(entry, key, unit)["value"]
-        if not isinstance(values, (list, tuple)) or len(values) != 3:
-            self.fail(f"{key}.value", f"{values!r}"[:80], "three numbers")
-        return tuple(self.number(value, f"{key}.value", low) for value in values)
+    Raises
+    ------
+    ParameterError, ModelError : no such mechanism or file, or one that is not usable; names the
+        file and the key.
+    """
+    path, names = Path(name_or_path), mechanism_names()
+    if str(name_or_path) in names:
+        path = config_path("mechanisms", f"{name_or_path}.yaml")
+    elif not path.is_file():
+        raise ParameterError(
+            f"no mechanism or file '{name_or_path}'", expected=f"the path of a YAML file or one of {', '.join(names)}"
+        )
+    mechanism = read_mechanism(path)
+    if parameters is not None:
+        if not isinstance(mechanism, ArmMechanism):
+            raise ParameterError(
+                f"parameters '{parameters}' with mechanism '{mechanism.name}'",
+                expected="parameters of an arm with an arm only",
+            )
+        mechanism = mechanism.with_arm(load_parameters(parameters))
+    if model is not None:
+        mechanism = mechanism.of_plant(load_model(model))
+    return mechanism

@@ -18,12 +18,12 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from puma_sim_core import __version__
-from puma_sim_core.arm.parameters import ArmParameters, Link, Motor
+from puma_sim_core.arm.arm import ArmParameters, Link, Motor
 from puma_sim_core.effects import VISCOUS, Effect, Kind
 from puma_sim_core.effects.base import ROTOR_INERTIA, SEVERAL_JOINTS, VOLTAGE_DRIVE
 from puma_sim_core.errors import ParameterError
+from puma_sim_core.plant.entries import Reader
 from puma_sim_core.plant.mechanism import MECHANISM_FORMAT, MechanismParameter
-from puma_sim_core.plant.mechanism_file import Reader
 from puma_sim_core.plant.plant import MODEL_FORMAT, Plant, effect_mapping, effects_of_mapping, made_of_model
 
 _UNITS = {

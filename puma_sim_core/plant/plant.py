@@ -9,20 +9,19 @@ each ``{name: ..., joint: ..., PARAMETER: {value: ..., unit: ...}}``.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 from puma_sim_core import __version__
-from puma_sim_core.arm.parameters import ArmParameters, from_mapping, load_parameters, to_mapping
+from puma_sim_core.arm.arm import ArmParameters
+from puma_sim_core.arm.parameters import from_mapping, load_parameters, to_mapping
 from puma_sim_core.arm.rigid_body import Lumps, lumped_constants
 from puma_sim_core.dynamics.types import Constants, Drive, Model
 from puma_sim_core.effects import KINDS, VISCOUS, Effect
 from puma_sim_core.effects.base import Stage
 from puma_sim_core.effects.registry import active_stages, check_distinct, fill_arm, pack, vanishes
 from puma_sim_core.errors import ModelError, ParameterError
-from puma_sim_core.files import read_yaml, write_yaml
 from puma_sim_core.plant.drive_train import DriveTrains
 
 MODEL_FORMAT = "puma-sim model 1"
@@ -57,7 +56,7 @@ class Plant:
         check_distinct(effects)
         object.__setattr__(self, "effects", effects)
         if any(effect.kind.stage & Stage.TWO_MASS for effect in effects):
-            self.constants  # refuses shares of the motors' inertia that no arm can have
+            _ = self.constants  # refuses shares of the motors' inertia that no arm can have
 
     @property
     def joints(self) -> int:
@@ -142,7 +141,7 @@ class Plant:
 
     @classmethod
     def from_mapping(cls, mapping: Mapping, where: str | None = None) -> Plant:
-        """The inverse of `to_mapping`.
+        """The inverse of `to_mapping`; see `model_file.plant_of_mapping` for any plant.
 
         Raises
         ------
@@ -157,10 +156,6 @@ class Plant:
                 where=where,
                 expected=f"'{MODEL_FORMAT}', which version {__version__} reads",
             )
-        if "mechanism" in mapping:
-            from puma_sim_core.plant.one_joint import OneJointPlant
-
-            return OneJointPlant.from_mapping(mapping, where)
         known = ("format", "version", "torque_form", "parameters", "effects")
         for key in mapping:
             if key not in known:
@@ -236,13 +231,3 @@ def _effect_of(entry, unit_of) -> Effect:
             value = value["value"]
         values[key] = value
     return Effect(KINDS[name], entry.get("joint"), values)
-
-
-def load_model(path: str | os.PathLike) -> Plant:
-    """Read a model file; raises ModelError or ParameterError naming the file and the key."""
-    return Plant.from_mapping(read_yaml(path, ModelError), str(path))
-
-
-def dump_model(plant: Plant, path: str | os.PathLike) -> None:
-    """Write a model file that loads to an equal plant; complete or not at all."""
-    write_yaml(plant.to_mapping(), path, ModelError)

@@ -173,8 +173,8 @@ class HeldRows:
     def run(self, state: State, time: float, held, kernel):
         """The row at the end, or None where the state is not finite.
 
-        held : (volts, counts, steps): triples [V], each held for `counts` steps of `steps` seconds; kernel : (constants,
-        lock).
+        held : (volts, counts, steps): triples [V], each held for `counts` steps of `steps` seconds.
+        kernel : (constants, lock).
         """
         volts, counts, steps = held
         for r, row in enumerate(volts):

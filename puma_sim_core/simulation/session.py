@@ -27,6 +27,7 @@ from puma_sim_core.dynamics.two_mass_runs import links_at, run_servo
 from puma_sim_core.dynamics.types import FREE, ServoLoop, State
 from puma_sim_core.errors import CommandError, ModelError, NonFiniteStateError, ParameterError, PumaSimError
 from puma_sim_core.jit import BACKEND
+from puma_sim_core.plant.model_file import plant_of_mapping
 from puma_sim_core.plant.plant import Plant
 from puma_sim_core.simulation.delay import NO_DELAY, SampledDelay, delay_of
 from puma_sim_core.simulation.feedback import ControlLoop, HeldRows, unpacked
@@ -208,7 +209,7 @@ class SessionConfig:
                 expected=f"'{SESSION_FORMAT}', which version {__version__} reads",
             )
         values = {k: v for k, v in mapping.items() if k not in ("format", "version", "kernel")}
-        plant = Plant.from_mapping(values.pop("model", None), where)
+        plant = plant_of_mapping(values.pop("model", None), where)
         try:
             servo = ServoConfig.from_mapping(values.pop("servo", {}))
             return cls(plant=plant, servo=servo, **values)

@@ -148,11 +148,12 @@ class Simulator:
     on_limit : "report" gathers sentences in `exceeded`, "error" raises LimitError after a run.
 
     The state is taken by `reset` and moves on with each `step` and `run`. ``state`` is the tuple
-    (q1, q2, q3, qd1, qd2, qd3, i1, i2, i3) of the kernel's joints (a single joint is its third), a
-    triple below is a single number for a plant of one joint, ``bristles`` the deflections [rad] of
-    the bristles, ``further`` those of other effects with a memory, ``links`` positions [rad] and velocities [rad/s] of the links, ``past``
-    the voltages that a delay of the input still holds back, ``time`` the simulated time [s], at which
-    effects that change with time are taken. ``link_motion`` holds the links at the rows of the last
+    (q1, q2, q3, qd1, qd2, qd3, i1, i2, i3) of the kernel's joints (a single joint is its third), a triple below is a
+    single number for a plant of one joint, ``bristles`` the deflections [rad] of the bristles, ``further`` those of
+    other effects with a memory, ``links`` positions [rad] and velocities [rad/s] of the links, ``past`` the voltages
+    that a delay of the input still holds back, ``time`` the simulated time [s], at which effects that change with
+    time are taken.
+    ``link_motion`` holds the links at the rows of the last
     run, (n, 6), where they do not follow their motors (see `two_mass`), else None.
 
     Raises

@@ -10,9 +10,10 @@ from math import radians
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from puma_sim_core.arm.arm import ArmParameters
 from puma_sim_core.arm.inverse_kinematics import wrist_angles
 from puma_sim_core.arm.kinematics import forward_kinematics, link_transforms, wrist_position
-from puma_sim_core.arm.parameters import ArmParameters, load_parameters
+from puma_sim_core.arm.parameters import load_parameters
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.thesis.registry import Context, experiment
 from puma_sim_core.thesis.result import Curve, Figure, Result, Row, matrix_text

@@ -9,7 +9,8 @@ from math import pi, radians
 
 import numpy as np
 
-from puma_sim_core.arm.parameters import ArmParameters, Link, load_parameters, parameter_sets, smallest_eigenvalue
+from puma_sim_core.arm.arm import ArmParameters, Link
+from puma_sim_core.arm.parameters import load_parameters, parameter_sets, smallest_eigenvalue
 from puma_sim_core.arm.printed_coefficients import coefficient
 from puma_sim_core.arm.rigid_body import coriolis, gravity_torque, inertia, lumped_constants
 from puma_sim_core.thesis.misprints import chapter_4_forms as forms

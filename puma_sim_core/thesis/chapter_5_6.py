@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 import numpy as np
 from scipy.integrate import solve_ivp
 
@@ -195,8 +197,6 @@ def inversion_errors(rng: np.random.Generator, count: int = 300):
 
 def _adjugate_inverse(matrix) -> np.ndarray:
     """Inverse by cofactors in exact rational arithmetic."""
-    from fractions import Fraction
-
     m = [[Fraction(float(value)) for value in row] for row in matrix]
 
     def cofactor(i, j):

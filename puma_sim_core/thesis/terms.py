@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from puma_sim_core.arm.parameters import ArmParameters
+from puma_sim_core.arm.arm import ArmParameters
 from puma_sim_core.arm.printed_coefficients import BASES, COEFFICIENTS
 from puma_sim_core.arm.rigid_body import lumped_constants
 

@@ -20,7 +20,7 @@ from puma_sim_core.identify.fitting.trials import Trials
 from puma_sim_core.identify.noise import colour
 from puma_sim_core.identify.prepare import prepare
 from puma_sim_core.identify.selection.cross_validation import CrossValidation, WeightedModel
-from puma_sim_core.plant.mechanism import load_mechanism
+from puma_sim_core.plant.mechanism_file import load_mechanism
 from puma_sim_core.plant.plant import Plant
 
 _ROUNDS = 4

@@ -23,7 +23,7 @@ from puma_sim_core.identify.checks.row_faults import (
     time_faults,
     voltage_spikes,
 )
-from puma_sim_core.identify.data.ingest import Log
+from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.result import Fault
 
 #: a log must have this many rows and last this long [s]

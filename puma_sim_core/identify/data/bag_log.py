@@ -15,7 +15,7 @@ import numpy as np
 
 from puma_sim_core.errors import BagError, RecordingError
 from puma_sim_core.files import parse_yaml
-from puma_sim_core.identify.data.ingest import Log
+from puma_sim_core.identify.data.log import Log
 from puma_sim_core.recording.bag import BagContents, read_bag
 
 

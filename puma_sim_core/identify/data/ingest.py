@@ -13,12 +13,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from puma_sim_core.errors import RecordingError
+from puma_sim_core.identify.data.bag_log import read_bag_log
+from puma_sim_core.identify.data.log import Log, channels
 from puma_sim_core.recording.csv_rows import CsvRows
 
 #: rows of a log that are read: a minute at 1 kHz. Explaining them takes 3.7 GB (an arm)
@@ -26,49 +27,6 @@ GREATEST_ROWS = 60_000
 #: groups of channels, in the order of a file; the first two must be there
 GROUPS = ("voltage", "position", "velocity", "current", "setpoint", "enable")
 _REQUIRED = ("voltage", "position")
-
-
-@dataclass(frozen=True)
-class Log:
-    """A measured log: n rows, J joints.
-
-    name : the path that was read; time (n,) [s]; voltage (n, J) [V]; position (n, J) [rad or m];
-    velocity, current, setpoint, enable : (n, J), or None where the log has none of them.
-    lines (n,) : line of each row in its file, None for a bag.
-    quantum (J,) : step of the encoder in `position`, 0.0 where none can be seen.
-    notes : what was left out or taken in another way than it stands, as sentences.
-    """
-
-    name: str
-    time: np.ndarray
-    voltage: np.ndarray
-    position: np.ndarray
-    velocity: np.ndarray | None = None
-    current: np.ndarray | None = None
-    setpoint: np.ndarray | None = None
-    enable: np.ndarray | None = None
-    lines: np.ndarray | None = None
-    quantum: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    notes: tuple[str, ...] = ()
-
-    def __post_init__(self):
-        if len(self.quantum) == 0:
-            object.__setattr__(
-                self, "quantum", np.array([encoder_step(self.position[:, j]) for j in range(self.joints)])
-            )
-
-    def __len__(self) -> int:
-        return len(self.time)
-
-    @property
-    def joints(self) -> int:
-        """Number of joints J."""
-        return self.position.shape[1]
-
-    def place(self, index: int) -> str:
-        """Row and, for a file, line of the row with an index from 0, for sentences."""
-        row = f"row {index + 1}"
-        return row if self.lines is None else f"{row} (line {self.lines[index]})"
 
 
 def parse_columns(text: str) -> dict[str, str]:
@@ -116,38 +74,8 @@ def read_log(
     if Path(path).is_dir() or Path(path).suffix == ".mcap":
         if columns:
             raise RecordingError("a map of columns", where=str(path), expected="none for a bag")
-        from puma_sim_core.identify.data.bag_log import read_bag_log
-
         return read_bag_log(path, joints)
     return _read_csv(path, dict(columns or {}), joints, greatest_rows)
-
-
-def channels(group: str, joints: int) -> list[str]:
-    """Names of a group's channels, one a joint."""
-    return [f"{group}{j}" for j in range(1, joints + 1)]
-
-
-def encoder_step(position: np.ndarray) -> float:
-    """Step of the encoder that an (n,) series of positions shows, 0.0 where it shows none.
-
-    Differences of quantised positions are whole multiples of the step; text with few digits blurs
-    them a little.
-    """
-    steps = np.abs(np.diff(position[np.isfinite(position)]))
-    if steps.size < 20:
-        return 0.0
-    steps = np.sort(steps[steps > 1e-9 * max(float(np.max(np.abs(position[np.isfinite(position)]))), 1e-12)])
-    if steps.size < 20:
-        return 0.0
-    step = float(steps[: max(1, steps.size // 50)].mean())
-    for reach in (1.5, 4.0, 15.0):
-        near = steps[steps < reach * step]
-        counts = np.round(near / step)
-        step = float((near * counts).sum() / (counts * counts).sum())
-    near = steps[steps < 15.0 * step]
-    off = np.abs(near / step - np.round(near / step))
-    whole = near.size >= 20 and np.mean(off < 0.1) > 0.95 and float(near[0]) > 0.5 * step
-    return step if whole else 0.0
 
 
 def _read_csv(path, columns, joints, greatest_rows) -> Log:

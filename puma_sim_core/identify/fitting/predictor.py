@@ -18,7 +18,7 @@ from scipy.linalg import expm, solve_discrete_are
 from scipy.signal import fftconvolve
 
 from puma_sim_core.identify.data import filters
-from puma_sim_core.identify.data.ingest import Log
+from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.noise.weighting import Weighting
 from puma_sim_core.identify.remembered import Remembered
 from puma_sim_core.identify.settings import FITTING

@@ -13,6 +13,7 @@ import math
 import numpy as np
 
 from puma_sim_core import __version__
+from puma_sim_core.effects import KINDS
 from puma_sim_core.identify.report import figures, tables
 from puma_sim_core.identify.report.answers import answers, badge
 from puma_sim_core.identify.report.drawing import Chart, key_svg, svg
@@ -142,8 +143,6 @@ def _found(e: Explanation) -> str:
 
 
 def _effect(effect: NamedEffect) -> str:
-    from puma_sim_core.effects import KINDS
-
     kind = KINDS.get(effect.name)
     parts = [f"<h3>{hypothesis(effect)}</h3>\n"]
     if kind is not None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from types import SimpleNamespace
 
-from puma_sim_core.arm.parameters import ArmParameters
+from puma_sim_core.arm.arm import ArmParameters
 
 
 def symbols(q, arm: ArmParameters) -> SimpleNamespace:

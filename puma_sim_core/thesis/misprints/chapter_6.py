@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.integrate import solve_ivp
 
 from puma_sim_core.arm.rigid_body import coriolis, gravity_torque, inertia
 from puma_sim_core.arm.third_order import acceleration_from_current, current_rate, joint_torque_per_ampere
@@ -133,8 +134,6 @@ def _thirty_five_microseconds():
 
 def _inputs_within_a_step():
     """q after one step with voltages that jump at its end; the record has one row a step."""
-    from scipy.integrate import solve_ivp
-
     start = np.concatenate([POSES[0], RATES[0], np.zeros(3)])
     h, here, there = 0.001, np.array([20.0, -15.0, 10.0]), np.array([-20.0, 15.0, 30.0])
 

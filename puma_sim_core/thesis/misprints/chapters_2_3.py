@@ -72,9 +72,9 @@ def _wrist_side_moment(slip):
         bodies = arm_pseudo_inertias(arm)
         return sum(
             np.trace(
-                reference.derivative(lambda x: chain(x, p), q, 0)
+                reference.derivative(lambda x, p=p: chain(x, p), q, 0)
                 @ bodies[p - 1]
-                @ reference.derivative(lambda x: chain(x, p), q, 1).T
+                @ reference.derivative(lambda x, p=p: chain(x, p), q, 1).T
             )
             for p in (2, 3)
         )

@@ -15,8 +15,9 @@ from functools import cache
 
 import numpy as np
 
+from puma_sim_core.arm.arm import ArmParameters
 from puma_sim_core.arm.kinematics import dh_table
-from puma_sim_core.arm.parameters import ArmParameters, load_parameters
+from puma_sim_core.arm.parameters import load_parameters
 
 _STEP = 1e-40
 
