@@ -52,7 +52,7 @@ LATE_WIDTH = 5
 
 @inlined
 def terminal_voltage(j, v, p):
-    """Voltage [V] at motor j's terminals for the commanded one, a droop of the supply apart."""
+    """Voltage [V] at motor j's terminals for the commanded one, without the sag of the supply."""
     return within_supply(j, after_losses(j, v, p), p)
 
 

@@ -2,8 +2,8 @@
 # Copyright the puma-sim contributors
 """What changes with time: the constants of one step.
 
-A motor that warms up, grease that gets thin and a blow from outside depend on the simulated time,
-which is that of the records. They are taken once a step: the slow ones at its middle, the blow as
+A motor that warms up, grease that gets thin and an impact from outside depend on the simulated time,
+which is that of the records. They are taken once a step: the slow ones at its middle, the impact as
 its mean over the step, which keeps its momentum. Both are of second order in the step.
 """
 

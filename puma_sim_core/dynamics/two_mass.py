@@ -340,7 +340,7 @@ def link_acceleration(k, q, w, a, p):
 def settled_links(x, model, p, stiff, lock, push):
     """Positions and velocities of links that follow their motors without swinging, six numbers.
 
-    Each joint is twisted by the torque that its link would take if no joint were soft; play lies
+    Each joint is twisted by the torque that its link would take if no joint were soft; backlash lies
     on the side of that torque. stiff : the table with its joints made rigid.
     """
     k1, k2, k3 = trains(p)

@@ -77,7 +77,7 @@ def links_at(x: tuple[float, ...], time: float, constants: Constants, lock: tupl
     """Positions [rad] and velocities [rad/s] of links that follow their motors without swinging.
 
     x : state of the motors, nine numbers; time [s]. A soft joint is twisted by the torque that its
-    link takes when it moves with the motor, and play lies on the side of that torque.
+    link takes when it moves with the motor, and backlash lies on the side of that torque.
     """
     if not constants.active & TWO_MASS:
         return tuple(x[:6])

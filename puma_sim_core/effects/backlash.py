@@ -26,14 +26,14 @@ _GAPS = np.geomspace(1.5e-4, 4e-3, 13)
 #: priors of the parameters, which a fit goes by, are those of machines
 _CONTACT_STIFFNESS, _CONTACT_DAMPING = 2e5, 100.0
 
-#: least share of critical damping of the contact. The rotor recoils from a knock, and back-EMF
+#: least share of critical damping of the contact. The rotor recoils from an impact, and back-EMF
 #: damps it, faster than the filtered motion shows: with the damping of the teeth alone the
 #: simulated link would bounce where the real one does not.
 _LEAST_DAMPING = 0.8
 
 
 def backlash(signals: Signals, joint: int) -> list[Candidate]:
-    """Torque through teeth with play less that through a rigid joint, with coefficient 1, for a
+    """Torque through teeth with backlash less that through a rigid joint, with coefficient 1, for a
     grid of the gap."""
     if not moves(signals, joint):
         return []
@@ -59,8 +59,8 @@ def backlash(signals: Signals, joint: int) -> list[Candidate]:
 
 
 def tooth_torque(signals: Signals, torque, inertia, gap: float, stiffness: float, damping: float):
-    """Torque (n,) [N.m] through teeth with a play of `gap` under the measured motion of the rotor,
-    averaged over a sample: a knock is shorter than one.
+    """Torque (n,) [N.m] through teeth with a backlash of `gap` under the measured motion of the rotor,
+    averaged over a sample: an impact is shorter than one.
 
     The damping is at least 0.8 of the critical one of the link: filtered, the rotor's motion has
     lost what keeps the real link from bouncing.
@@ -129,10 +129,16 @@ EFFECT = Kind(
     acts=TRANSMISSION,
     equation="d = qm - ql; tau = max(K (d - g/2) + B dd, 0) for d > g/2, "
     "min(K (d + g/2) + B dd, 0) for d < -g/2, else 0",
-    sentence="Play between the teeth: the link is free while they change flanks, and a short knock ends it.",
+    sentence="Backlash between the teeth: the link is free while they change flanks, and a short impact ends it.",
     parameters=(
         Parameter(
-            "gap", "rad", 0.0, 0.2, "g, the whole play at the joint", plausible=(5e-5, 5e-3), softened_by="stiffness"
+            "gap",
+            "rad",
+            0.0,
+            0.2,
+            "g, the whole backlash at the joint",
+            plausible=(5e-5, 5e-3),
+            softened_by="stiffness",
         ),
         Parameter(
             "stiffness",

@@ -323,7 +323,7 @@ class Kind:
 
     @property
     def plausible(self) -> tuple[tuple[str, float, float], ...]:
-        """(parameter, low, high) of plausible sizes; the one that detectability is told by stands first."""
+        """(parameter, low, high) of plausible sizes; the one that tells what is detectable stands first."""
         main = self.screening.size if self.screening is not None else None
         listed = sorted(self.parameters, key=lambda p: p.name != main)
         return tuple((p.name, *p.plausible) for p in listed if p.plausible is not None)

@@ -38,7 +38,7 @@ def pulse_part(share):
 def pulse_torque(p, k, time, step):
     """Mean torque [N.m] of the pulse from `time` to `time` + `step` [s], positive in +q.
 
-    The mean keeps the momentum of the blow to rounding, however long the steps are. The value at
+    The mean keeps the momentum of the impact to rounding, however long the steps are. The value at
     an instant comes with step 0.
     """
     if p[k] == 0.0:
@@ -73,7 +73,7 @@ def impulse(signals: Signals, joint: int, residual: np.ndarray | None = None) ->
             column = -pulse(signals.time, middle, width)
 
             def values(c, middle=middle, width=width):
-                return {"torque": bounded(c[0], "blow", "N.m", 40.0 * scale), "time": middle, "width": width}
+                return {"torque": bounded(c[0], "impact", "N.m", 40.0 * scale), "time": middle, "width": width}
 
             found.append(
                 candidate(
@@ -124,7 +124,7 @@ EFFECT = Kind(
     order=250,
     acts=TORQUE,
     equation="tau = -p sin(pi (t - t0 + w/2) / w)^2 while |t - t0| < w/2",
-    sentence="A blow or a push of short duration that nothing in the log asks for.",
+    sentence="An impact or a push of short duration that no command in the log causes.",
     parameters=(
         Parameter("torque", "N.m", -1e4, 1e4, "p, peak, positive in +q", plausible=(5.0, 300.0)),
         Parameter("time", "s", -1e6, 1e9, "t0, middle of the pulse", role=Role.PLACE, step="width"),
@@ -144,7 +144,7 @@ EFFECT = Kind(
     repeatable=False,
     screening=Screening(
         impulse,
-        excitation="None can show it again: a blow is not repeatable; repeat the motion to see that it is gone.",
+        excitation="None can show it again: an impact is not repeatable; repeat the motion to see that it is gone.",
         generous=0.03,
     ),
     drawn_against=("time",),

@@ -28,7 +28,7 @@ def quadratic(signals: Signals, joint: int) -> list[Candidate]:
     if not moves(signals, joint):
         return []
     speed = fastest(signals, joint)
-    # the arm's drag is that of a middling friction torque at 1 to 2 rad/s, however slow the log
+    # the arm's drag is that of the nominal friction torque at 1 to 2 rad/s, however slow the log
     unit = float(signals.torque_scale[joint]) / max(speed, 1.0 if is_arm(signals) else 0.0) ** 2
     velocity = signals.velocity[:, joint]
 

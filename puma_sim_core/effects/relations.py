@@ -85,7 +85,7 @@ LOOK_ALIKES: tuple[tuple[str, str, str, str], ...] = (
     (
         "voltage_saturation",
         "supply_droop",
-        "the limit does not give way under the currents of other joints",
+        "the limit does not sag under the currents of other joints",
         "the loss is in proportion to the voltage, without a threshold",
     ),
     (
@@ -128,7 +128,7 @@ LOOK_ALIKES: tuple[tuple[str, str, str, str], ...] = (
     (
         "backlash",
         "impulse",
-        "the knocks come at each change of sign of the transmitted torque",
+        "the impacts come at each change of sign of the transmitted torque",
         "it comes once; two or more at reversals of the transmitted torque are backlash",
     ),
     (
@@ -141,13 +141,13 @@ LOOK_ALIKES: tuple[tuple[str, str, str, str], ...] = (
         "presliding_friction",
         "backlash",
         "the loop comes at reversals of the velocity, not of the transmitted torque",
-        "the knocks come where the transmitted torque changes its sign, not the velocity",
+        "the impacts come where the transmitted torque changes its sign, not the velocity",
     ),
     (
         "coulomb_friction",
         "backlash",
         "the friction lasts as long as the joint moves",
-        "nothing is lost between the knocks",
+        "nothing is lost between the impacts",
     ),
     (
         "presliding_friction",
@@ -251,7 +251,7 @@ LOOK_ALIKES: tuple[tuple[str, str, str, str], ...] = (
         "stribeck_friction",
         "backlash",
         "the bump comes at reversals of the velocity, not of the transmitted torque",
-        "the knocks come at changes of sign of the transmitted torque, not at low speed",
+        "the impacts come at changes of sign of the transmitted torque, not at low speed",
     ),
     (
         "stribeck_friction",

@@ -127,7 +127,7 @@ class Screening:
     candidates : (signals, joint 0-based or None for the whole arm) -> its candidates, none where the log cannot show
         it.
     excitation : sentence on the motion that shows it.
-    size : parameter that detectability is told by; None: the first one with a plausible range.
+    size : parameter whose size tells what is detectable; None: the first one with a plausible range.
     generous : share of its evidence that a special case of it may lack: above 0 for an effect that fits whatever
         happened once.
     unseen : (parameter, value) pairs from which it is tried in the model at a joint that is far noisier than the

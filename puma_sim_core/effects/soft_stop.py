@@ -18,7 +18,7 @@ from puma_sim_core.jit import inlined
 if TYPE_CHECKING:
     pass
 
-#: where a stop may begin, in shares of the travelled range from its end: a hard stop gives way by
+#: where a stop may begin, in shares of the travelled range from its end: a hard stop yields by
 #: a thousandth of it, a soft one is pressed in for half of the motion
 _DEPTHS = np.geomspace(0.0012, 0.45, 20)
 
@@ -63,7 +63,7 @@ def soft_stop(signals: Signals, joint: int) -> list[Candidate]:
             def values(c, ends=ends):
                 return {**ends, "stiffness": positive(c[0], "stiffness", "N.m/rad", 1e6), "damping": 0.0}
 
-            # the deepest press takes a few middling friction torques
+            # the deepest press takes a few nominal friction torques
             unit = scale / pressed
             found.append(
                 candidate(on_joint(joint, column), [unit], [2.0 * unit], values, {"upper" if upper else "lower": place})

@@ -28,7 +28,7 @@ def droop(signals: Signals, joint: int | None) -> list[Candidate]:
     total = np.abs(signals.current).sum(axis=1)
 
     def values(c):
-        return {"coefficient": positive(c[0], "droop", "1/A", 0.05)}
+        return {"coefficient": positive(c[0], "sag", "1/A", 0.05)}
 
     column = {j: signals.voltage[:, j] * total for j in range(signals.joints)}
     return [candidate([column], [0.004], [0.005], values, unit=VOLTAGE_COLUMN)]
@@ -39,7 +39,7 @@ EFFECT = Kind(
     order=140,
     acts=VOLTAGE,
     equation="V = V max(1 - c sum |i|, 0), of all joints",
-    sentence="The common supply gives way under the currents of all motors together.",
+    sentence="The voltage of the common supply sags under the currents of all motors.",
     parameters=(Parameter("coefficient", "1/A", 0.0, 1.0, "c, share of the voltage lost", plausible=(0.001, 0.03)),),
     laws=(Law(Point.SUPPLY_SHARE, supply_share),),
     per_joint=False,

@@ -17,7 +17,7 @@ EFFECT = Kind(
     order=10,
     acts=TORQUE,
     equation="tau = H qd",
-    sentence="Friction that grows with the speed; in voltage it cannot be told from back-EMF.",
+    sentence="Friction that grows with the speed; in voltage it cannot be distinguished from back-EMF.",
     parameters=(Parameter("coefficient", "N.m.s/rad", 0.0, 500.0, "H, at the joint"),),
     drawn_against=("velocity",),
     example="viscous_friction:joint=2,coefficient=10",

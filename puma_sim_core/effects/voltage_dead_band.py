@@ -17,7 +17,7 @@ from puma_sim_core.jit import inlined
 if TYPE_CHECKING:
     pass
 
-#: half widths of a dead-band, in voltages of a middling friction torque
+#: half widths of a dead-band, in voltages of the nominal friction torque
 _DEAD_BANDS = np.geomspace(0.1, 2.4, 11)
 
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""The model led along a measured motion: innovations of an observer.
+"""Kalman predictor: the model follows a measured motion, and its innovations tell how well.
 
 Each row the model predicts the measured positions of the next one; what they are away from the
 prediction, the innovation, moves the model's state by a constant gain. With the gain of a steady
@@ -29,7 +29,7 @@ _HELD = 0.999999
 
 
 class Track(NamedTuple):
-    """What a model is led along.
+    """The measured motion that a model follows.
 
     on (k, 3) : 0.0 where a drive is cut off; target (k) : row of `out` whose first three numbers are the positions
     measured at the end of the row, -1 where none are; corrected : for each row of `out`, whether its innovation moves

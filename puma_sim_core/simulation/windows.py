@@ -179,7 +179,7 @@ def run_windows(
     simulator : its state is replaced; a joint that it constrains to a velocity takes that one.
     log : times, voltages and positions, velocities and currents if they were measured.
     acceleration : record it too [rad/s^2].
-    report : told how many rows are done, after each window.
+    report : called with the number of rows that are done, after each window.
 
     Returns
     -------

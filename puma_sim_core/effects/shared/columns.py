@@ -73,7 +73,7 @@ def motor_torque(signals: Signals, joint: int) -> np.ndarray:
 
 
 def volt_scale(signals: Signals, joint: int) -> float:
-    """Voltage [V] of a middling friction torque, the unit of priors of voltages."""
+    """Voltage [V] of the nominal friction torque, the unit of priors of voltages."""
     return float(signals.volts_per_torque[joint] * signals.torque_scale[joint])
 
 
