@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         action="extend",
         default=[],
-        help="logs kept back to measure the errors on (default: blocks of LOG)",
+        help="logs of the validation set, which errors are measured on (default: blocks of LOG)",
     )
     parser.add_argument(
         "--out",

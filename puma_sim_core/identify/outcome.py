@@ -205,16 +205,16 @@ def _refused(s: SelectionState, stage: Stage, t: Trial) -> str:
     if t.problem is not None:
         return t.problem
     if t.key in s.retracted:
-        return "retracted: the error held out is not lower with it, or a free curve leaves clearly less"
+        return "retracted: it does not lower the validation error, or a free curve leaves clearly less"
     if best is not None and best.key not in s.retracted and tied(best, t):
         return "tied"
     if t.gain <= stage.needed(t.joint):
         return f"below the threshold of {stage.needed(t.joint):.0f} nat"
     if t.validation_gain <= 0.0:
-        return "it does not lower the error on the rows kept back"
+        return "it does not lower the error on the validation set"
     if best is not None:
         return f"lower than {best.name} by {best.gain - t.gain:.0f} nat"
-    return "too little of it acts where rows were kept back"
+    return "too little of it acts in the validation set"
 
 
 def _exact_ties(names: tuple[NamedEffect, ...]) -> list[str]:
