@@ -33,6 +33,7 @@ from puma_sim_core.dynamics.laws import (
     AT_REST,
     BRISTLE,
     DRY,
+    POSED,
     SMOOTH,
     TILT,
     deflections_of,
@@ -54,6 +55,9 @@ from puma_sim_core.effects.shared.drive_train import (
     twist_under,
 )
 from puma_sim_core.jit import inlined, interpreted, outlined
+
+#: trig of a pose that nothing asks for
+NO_POSE = (0.0, 1.0, 0.0, 1.0)
 
 
 @inlined
@@ -112,7 +116,9 @@ def rotor_torques(x, model, p, slip, bend):
     _, _, _, n1, h1, _, _, _, n2, h2, _, _, _, n3, h3 = drive
     motors = (n1 * i1 - h1 * w1, n2 * i2 - h2 * w2, n3 * i3 - h3 * w3)
     own = Model(body, drive, active & ~(SMOOTH | TILT))
-    t1, t2, t3 = effect_torques(x, motors, library_trigonometry(q2, q3), own, p, slip, bend)
+    # only friction by the pose asks for the pose here
+    trig = library_trigonometry(q2, q3) if active & POSED else NO_POSE
+    t1, t2, t3 = effect_torques(x, motors, trig, own, p, slip, bend)
     if active & SMOOTH:
         t1 -= motor_torque(0, q1, w1, p)
         t2 -= motor_torque(1, q2, w2, p)
