@@ -25,7 +25,7 @@ from puma_sim_core.identify.result import Hypothesis
 from puma_sim_core.identify.screening.evidence import screen
 from puma_sim_core.identify.screening.problem import Problem
 from puma_sim_core.identify.screening.search import Search
-from puma_sim_core.identify.settings import SELECTION
+from puma_sim_core.identify.settings import EXPERIMENT, SELECTION
 from puma_sim_core.plant.mechanism_file import load_mechanism
 from puma_sim_core.plant.model_file import dump_model
 from puma_sim_core.recording.recording import read_csv
@@ -54,7 +54,8 @@ def designs():
 @pytest.fixture
 def quick(monkeypatch):
     """The command's search with few motions."""
-    monkeypatch.setattr("puma_sim_core.identify.experiment.design.MOTIONS", 14)
+    fewer = replace(EXPERIMENT, design_motions=14)
+    monkeypatch.setattr("puma_sim_core.identify.experiment.design.EXPERIMENT", fewer)
 
 
 def written(tmp_path, *arguments, name="volts.csv"):

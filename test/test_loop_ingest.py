@@ -16,8 +16,9 @@ from puma_sim_core.effects import parse_effect
 from puma_sim_core.errors import BagError, PumaSimError, RecordingError
 from puma_sim_core.identify import explain
 from puma_sim_core.identify.checks.gate import check
-from puma_sim_core.identify.data.ingest import GREATEST_ROWS, parse_columns, read_log
+from puma_sim_core.identify.data.ingest import parse_columns, read_log
 from puma_sim_core.identify.data.log import encoder_step
+from puma_sim_core.identify.settings import DATA
 from puma_sim_core.plant.mechanism_file import load_mechanism
 from puma_sim_core.plant.plant import Plant
 from puma_sim_core.recording import csv_rows
@@ -178,7 +179,7 @@ print(len(log), sum(log.time[1:] <= log.time[:-1]), sum("were read" in note for 
 def test_a_huge_file_takes_no_more_memory_than_the_rows_that_are_read(file):
     """Twice and ten times the rows that are read, of all seven columns of an arm: in a process of
     its own, whose peak is its own. Behind those rows the time would go back."""
-    time = 1e-3 * np.arange(GREATEST_ROWS)
+    time = 1e-3 * np.arange(DATA.reading_greatest_rows)
     q = np.column_stack([0.5 * np.sin(2.0 * np.pi * f * time) for f in (0.3, 0.4, 0.5)])
     rows = "".join(
         ",".join(f"{value:.4f}" for value in row) + "\n" for row in np.column_stack([time, 10.0 * q, q]).tolist()
@@ -191,7 +192,7 @@ def test_a_huge_file_takes_no_more_memory_than_the_rows_that_are_read(file):
                 out.write(rows)
         done = subprocess.run([sys.executable, "-c", _PEAK, str(file)], text=True, capture_output=True, check=True)
         read, backwards, told, peak = map(int, done.stdout.split())
-        assert (read, backwards, told) == (GREATEST_ROWS, 0, 1)
+        assert (read, backwards, told) == (DATA.reading_greatest_rows, 0, 1)
         peaks.append(peak / 1024.0)  # MB
     assert peaks[1] < peaks[0] + 20.0
 

@@ -18,22 +18,281 @@ from types import MappingProxyType
 
 @dataclass(frozen=True)
 class Data:
-    """Stage 1: reading and sampling of logs (`identify.data`)."""
+    """Stage 1: reading and sampling of logs (`identify.data`).
+
+    Where a comment names no source, the value was chosen by hand or on synthetic development records; more is not on
+    record.
+    """
+
+    # --- `filters`
+    #: half of the exponent of the response
+    filter_order: int = 8
+    #: time constants 1/fc that the response takes to die away
+    filter_settling: float = 2.5
+
+    # --- `ingest`
+    #: rows of a log that are read: a minute at 1 kHz. Explaining them takes 3.7 GB (an arm)
+    reading_greatest_rows: int = 60_000
+
+    # --- `sampling`
+    #: first filter [Hz], and its greatest share of the sampling frequency
+    sampling_first_cutoff: float = 60.0
+    sampling_first_share: float = 0.30
+    #: second filter [Hz], and its greatest share of the first
+    sampling_second_cutoff: float = 25.0
+    sampling_second_share: float = 0.42
+    #: rows kept after the second filter, in multiples of its cutoff
+    sampling_kept: float = 2.6
+    #: steps of time that differ by less than this share count as even
+    sampling_even: float = 0.02
 
 
 @dataclass(frozen=True)
 class Checks:
-    """Stage 0: faults of the data (`identify.checks`)."""
+    """Stage 0: faults of the data (`identify.checks`).
+
+    Where a comment names no source, the value was chosen by hand or on synthetic development records; more is not on
+    record.
+    """
+
+    # --- `channel_faults`
+    #: share of a voltage that is left over: below this nothing is asked; above that, with no way to put it
+    #: right, the log is of another plant
+    channel_asked: float = 0.18
+    channel_another: float = 0.45
+    #: floor of voltages for both, in those of a middling friction
+    channel_another_floor: float = 4.0
+    #: what is left over must shrink to this share of what it was, and to this share of the voltage
+    channel_shrinks: float = 0.4
+    channel_left: float = 0.2
+    #: a joint that is put right moves in this share of the rows, at least, of that which moves most; what is
+    #: left over of a joint's voltage itself, without a floor
+    channel_still_moves: float = 0.5
+    channel_left_at_all: float = 0.4
+    #: ways within this difference of the sum of logarithms are alike: the simpler one is said
+    channel_alike: float = 0.4
+    #: shares below this are alike where voltages are scaled
+    channel_alike_share: float = 0.04
+    #: costs (see `prior_fit`): from which on a log is asked for scales near 1 and offsets; what a way must
+    #: gain, the share of the cost that may stay, and the cost itself
+    channel_far: float = 12.0
+    channel_gain: float = 9.0
+    channel_nearer: float = 0.5
+    channel_near: float = 150.0
+    #: the share of the cost that may stay for the slow motion
+    channel_holds: float = 0.8
+    #: a joint that is judged by them moves in this share of the rows, with speeds that take so many times the
+    #: volts of a middling friction
+    channel_moving_rows: float = 0.15
+    channel_moving: float = 2.0
+    #: costs of offsets, which loads and tilt resemble, count so many times
+    channel_surer: float = 1.5
+    #: rows that are enough for it
+    channel_rows: int = 300
+    #: scales that are beyond what parameters and effects can make, and offsets [rad] that are no encoder
+    #: offsets
+    channel_scales: tuple[float, ...] = (0.33, 0.4, 0.5, 0.57, 0.65, 0.7, 1.4, 1.5, 1.7, 2.0, 2.4, 3.0)
+    #: and those that only a voltage of which this share is left over is asked for
+    channel_far_scales: tuple[float, ...] = (0.2, 0.25, 4.0, 5.0)
+    channel_far_asked: float = 0.3
+    #: voltages that can be millivolts or counts, and kilovolts, in those of a middling friction
+    channel_great: float = 60.0
+    channel_small: float = 1.0
+
+    # --- `feedback`
+    #: a p-value below this says that feedback biases [per joint]
+    feedback_significance: float = 0.005
+    #: age [s] past which noise is forgotten, and the ages of the instruments behind it
+    feedback_forgotten: float = 0.12
+    feedback_ages: tuple[float, ...] = (0.0, 0.03, 0.08)
+
+    # --- `gate`
+    #: a log must have this many rows and last this long [s]
+    gate_least_rows: int = 100
+    gate_least_time: float = 1.0
+    #: a joint that moves by less than so many encoder steps, or this share of its range, rests
+    gate_rest_steps: float = 2.5
+    gate_rest_share: float = 1e-5
+    #: positions may be outside their ranges by this share of them
+    gate_outside: float = 0.25
+    #: scales and offsets must hold for the motion below this frequency [Hz] alone
+    gate_slow: float = 2.0
+
+    # --- `plausibility`
+    #: motion above this frequency [Hz] plays no part here
+    plausibility_cutoff: float = 6.0
+    #: rows of the coarse series, at most about twice so many
+    plausibility_rows: int = 1000
+    #: factors that honest records give to the parts of the model: (low, high)
+    plausibility_emf: tuple[float, ...] = (0.7, 1.4)
+    plausibility_inertial: tuple[float, ...] = (0.3, 2.5)
+    plausibility_gravity: tuple[float, ...] = (0.3, 4.0)
+    #: and of drag, as a share of the speed's part, and of the weight of other links
+    plausibility_drag: tuple[float, ...] = (-0.2, 0.5)
+    plausibility_others: tuple[float, ...] = (-1.5, 1.5)
+    #: dry friction and offsets in volts of a middling friction; width of the dry step, of the speed
+    plausibility_dry: tuple[float, ...] = (-0.5, 6.0)
+    plausibility_offset: float = 3.0
+    plausibility_dry_width: float = 0.02
+    #: a joint rests where its speed takes less than this share of the volts of a middling friction, or is below
+    #: this share of its greatest speed; friction then holds it against so many times those
+    plausibility_slow: float = 0.1
+    plausibility_slow_share: float = 0.02
+    plausibility_held: float = 7.0
+    #: a stop begins at these shares of the way from an end of the travel
+    plausibility_stops: tuple[float, ...] = (0.06, 0.2)
+    #: voltages are compared with this many times those of a middling friction, at least
+    plausibility_floor: float = 2.0
+    plausibility_noise: float = 0.04
+
+    # --- `prior_fit`
+    #: what is left over counts in this share of the volts of a middling friction, with this share of the
+    #: joint's own, and each so long [s] as one independent value
+    prior_fit_noise: float = 0.05
+    prior_fit_share: float = 0.007
+    prior_fit_correlated: float = 0.4
+    #: widths: offset, dry friction and spring in volts of a middling friction, load friction, drag as a share
+    #: of the speed's volts, load [kg] at a lever [m], tilt [rad], delay or lag of a sensor [s]
+    prior_fit_offset: float = 1.5
+    prior_fit_dry: float = 2.0
+    prior_fit_spring: float = 1.5
+    prior_fit_loaded: float = 0.15
+    prior_fit_drag: float = 0.08
+    prior_fit_load: float = 3.0
+    prior_fit_lever: float = 0.4
+    prior_fit_tilt: float = 0.07
+    prior_fit_lag: float = 8e-3
+    #: widths of the step of dry friction, as shares of the greatest speed
+    prior_fit_dry_widths: tuple[float, ...] = (0.015, 0.08)
+
+    # --- `row_faults`
+    #: a clock is even where all but this share of its steps are within this share of the middle one
+    row_even_share: float = 0.05
+    row_even: float = 0.02
+    #: a gap: steps above so many middle ones with an even clock, and otherwise; and above so many times the
+    #: step that all but 1 % stay below
+    row_gap_even: float = 1.5
+    row_gap_uneven: float = 3.0
+    row_gap_tail: float = 2.5
+    #: the longest middle step [s] that shows a joint's motion
+    row_slowest: float = 0.2
+    #: a blow, in middling friction torques; a margin
+    row_blow: float = 20.0
+    row_margin: float = 1.5
+    #: rows of the slopes before and after a row; the longest spike
+    row_around: int = 5
+    row_spike: int = 25
+    #: more rows than this share out of line are no single faults
+    row_many: float = 0.03
+    #: a joint that is held may have so many times the volts of its dry friction and, beside them, so many of a
+    #: middling one; at most, or where it never moved, so many of those
+    row_stuck: float = 2.2
+    row_beside: float = 3.0
+    row_stuck_unknown: float = 7.0
+    #: and so many times that at an end of its travel, outward
+    row_at_an_end: float = 5.0
+    #: share of a voltage that may be left over where a stretch of the position is called frozen
+    row_explained: float = 0.4
+    #: a frozen channel is one whose joint would have moved by this share of its range
+    row_frozen_travel: float = 0.02
+
+    # --- `wrong_zero`
+    #: what its gain must exceed that of every effect that may be named by [nat]
+    zero_clearer: float = 20.0
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Stage 3: noise of residuals and innovations (`identify.noise`)."""
+    """Stage 3: noise of residuals and innovations (`identify.noise`).
+
+    Where a comment names no source, the value was chosen by hand or on synthetic development records; more is not on
+    record.
+    """
+
+    # --- `noise`
+    #: correlation times of disturbances [s]
+    residual_lasting: tuple[float, ...] = (0.010, 0.040, 0.160)
+    #: least standard deviation of the white voltage noise [V] in the band
+    residual_least: float = 1e-4
+    #: width of a band of the periodogram [Hz], and its least number of frequencies
+    residual_band: float = 1.5
+    residual_least_lines: int = 6
+    #: share of the variance added to every diagonal: rows past the second filter are nearly dependent
+    residual_jitter: float = 2e-3
+    #: rows of one block of the covariance; longer stretches are cut
+    residual_block: int = 1500
+
+    # --- `colour`
+    #: correlation times of disturbances [s]
+    spectrum_lasting: tuple[float, ...] = (0.005, 0.010, 0.020, 0.040, 0.080, 0.160)
+    #: width of a band: least [Hz], and as a share of its frequency; least number of lines in it
+    spectrum_band: float = 1.0
+    spectrum_share: float = 0.15
+    spectrum_least_lines: int = 6
+    #: shortest stretch of rows that gives a periodogram [s]
+    spectrum_shortest: float = 0.3
+    #: steps of a fit of weights
+    spectrum_steps: int = 300
+    #: longest filter [s]
+    spectrum_longest: float = 1.5
+    #: share of the lines of a tapered periodogram that are independent, and what a line that stands out counts
+    #: as, over the spectrum
+    spectrum_independent: float = 0.5
+    spectrum_outlying: float = 8.0
+
+    # --- `weighting`
+    #: taps up to which a filter is run row by row
+    whitening_direct: int = 64
 
 
 @dataclass(frozen=True)
 class Screening:
-    """Stages 2 and 4: residual, evidence, short list (`identify.screening`)."""
+    """Stages 2 and 4: residual, evidence, short list (`identify.screening`).
+
+    Where a comment names no source, the value was chosen by hand or on synthetic development records; more is not on
+    record.
+    """
+
+    # --- `causal`
+    #: length of a block [s]
+    causal_block: float = 6e-3
+
+    # --- `known_effects`
+    #: share of its limit from which a current counts as held by it
+    known_held: float = 0.98
+
+    # --- `problem`
+    #: a joint rests where its speed stays below this many standard deviations of its noise, or below this share
+    #: of its greatest speed, for as long as this [s]
+    residual_rest_noise: float = 4.0
+    residual_rest_share: float = 2e-3
+    residual_rest_time: float = 0.12
+    #: share of the record that is kept back, and the length of a block of it [s]
+    residual_held_share: float = 0.25
+    residual_held_block: float = 0.8
+    #: where in its period a block lies, the usual place first; power of the residual there, over that of the
+    #: other rows, from which on another place is looked for
+    residual_places: tuple[float, ...] = (0.5, 0.2, 0.8, 0.35, 0.65)
+    residual_unlike: float = 2.0
+    #: share of a ratio of squared peaks that counts as one of powers
+    residual_peak: float = 0.5
+    #: rows around a kept-back block that count for neither, in time constants of the second filter
+    residual_guard: float = 2.0
+
+    # --- `search`
+    search_retunings: int = 3
+
+    # --- `short_list`
+    #: hypotheses of a short list, slow and fast, and their least gain in the screening
+    short_list_slow: int = 8
+    short_list_fast: int = 4
+    short_list_least_screened: float = 2.0
+    #: share of the best gain in the screening from which on the kinds that contain one are tried, too
+    short_list_family: float = 0.3
+    #: a joint is far noisier than the others from so many times the median of their noise on; the price [nat]
+    #: of a coefficient of what is tried there unasked
+    short_list_noisy: float = 2.0
+    short_list_unseen_price: float = 4.0
 
 
 @dataclass(frozen=True)
@@ -388,7 +647,85 @@ class Residuals:
 
 @dataclass(frozen=True)
 class Experiment:
-    """Stage 11: the next experiment (`identify.experiment`)."""
+    """Stage 11: the next experiment (`identify.experiment`).
+
+    Where a comment names no source, the value was chosen by hand or on synthetic development records; more is not on
+    record.
+    """
+
+    # --- `design`
+    #: motions of a search, and of one whose columns take long
+    design_motions: int = 150
+    design_fewer_motions: int = 80
+    #: what part of them is tried without the compiled kernel, which simulates ten times faster
+    design_uncompiled: float = 0.2
+    #: columns from which they take long
+    design_many_columns: int = 40
+    #: share of the motions that are random, and how many of the best are gone on from
+    design_random: float = 0.4
+    design_kept: int = 4
+    #: motions that a look for exact ties takes; gain [nat] and share that are nothing in all of them
+    design_looks: int = 10
+    design_nothing: float = 0.5
+    design_no_share: float = 1e-4
+    #: how wrong parameters may be, viscous friction among them, and the machines that are tried
+    design_wrong: float = 0.08
+    design_viscous_wrong: float = 0.25
+    design_machines: int = 4
+    #: step in which machines are simulated where no more is asked than that they stay in their ranges
+    design_coarse_step: float = 5e-3
+    #: rows of a file, and the least rate that the filters of `explain` can use [1/s]
+    design_most_rows: int = 300_000
+    design_least_rate: float = 100.0
+    design_shortest: float = 2.0
+    design_longest: float = 600.0
+
+    # --- `excitation`
+    motion_harmonics: int = 5
+    motion_fast: int = 3
+    #: rest at the start and at the end of a record [s], and the time in which a motion swells
+    motion_rest: float = 0.15
+    motion_swell: float = 0.8
+    #: frequencies of the Fourier series' base at the most, and of the fast waves [Hz]
+    motion_base: float = 0.4
+    motion_fast_band: tuple[float, float] = (4.0, 15.0)
+    #: how sharp the corners of a triangle are: 1 is a corner
+    motion_sharp: float = 0.97
+    #: share of the range that is kept free at each end, share of the voltage that is used
+    motion_margin: float = 0.06
+    motion_voltage_share: float = 0.95
+    #: supply of the arm's motors [V]; of other machines, in voltages of a middling friction torque
+    motion_arm_voltage: float = 40.0
+    motion_other_voltage: float = 10.0
+    #: greatest speed where none is given, in ranges of the joint a second
+    motion_speed: float = 0.6
+
+    # --- `next_experiment`
+    #: motions that are looked at before an effect counts as one that no motion shows, their length [s]
+    offer_looks: int = 6
+    offer_seconds: float = 5.0
+
+    # --- `separation`
+    #: noise of the voltage [V] within the second filter's band
+    separation_noise: float = 0.05
+    #: cutoffs of the filters [Hz], as in `sampling`
+    separation_first: float = 60.0
+    separation_second: float = 25.0
+    #: step of columns [s]; a finer one for waves of the motor's angle, which would fold down to low
+    #: frequencies, and for shifts in time. Parameters' derivatives, which are smooth, are taken at a coarse
+    #: one; rows are kept at a coarser one yet
+    separation_step: float = 5e-3
+    separation_fine: float = 2.5e-3
+    separation_coarse: float = 1e-2
+    separation_kept: float = 2e-2
+    #: counts of an encoder a turn of the motor; of one joint without gears, counts of its range
+    separation_counts: float = 1000.0
+    separation_counts_of_range: float = 16384.0
+    #: rows of a block of a product
+    separation_block: int = 64
+    #: a joint rests below this many standard deviations of its speed's noise, for this long [s]
+    separation_rest_noise: float = 4.0
+    separation_rest_time: float = 0.12
 
 
 DATA = Data()

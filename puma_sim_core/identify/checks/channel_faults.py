@@ -18,43 +18,11 @@ import numpy as np
 from puma_sim_core.identify.checks.plausibility import Coarse, Plausibility
 from puma_sim_core.identify.checks.prior_fit import PriorFit
 from puma_sim_core.identify.result import Fault
+from puma_sim_core.identify.settings import CHECKS
 
-#: share of a voltage that is left over: below this nothing is asked; above that, with no way to
-#: put it right, the log is of another plant
-_ASKED, _ANOTHER = 0.18, 0.45
-#: floor of voltages for both, in those of a middling friction
-_ANOTHER_FLOOR = 4.0
-#: what is left over must shrink to this share of what it was, and to this share of the voltage
-_SHRINKS, _LEFT = 0.4, 0.2
-#: a joint that is put right moves in this share of the rows, at least, of that which moves most;
-#: what is left over of a joint's voltage itself, without a floor
-_STILL_MOVES, _LEFT_AT_ALL = 0.5, 0.4
-#: ways within this difference of the sum of logarithms are alike: the simpler one is said
-_ALIKE = 0.4
-#: shares below this are alike where voltages are scaled
-_ALIKE_SHARE = 0.04
-#: costs (see `prior_fit`): from which on a log is asked for scales near 1 and offsets; what a way
-#: must gain, the share of the cost that may stay, and the cost itself
-_FAR, _GAIN, _NEARER, _NEAR = 12.0, 9.0, 0.5, 150.0
-#: the share of the cost that may stay for the slow motion
-_HOLDS = 0.8
-#: a joint that is judged by them moves in this share of the rows, with speeds that take so many
-#: times the volts of a middling friction
-_MOVING_ROWS, _MOVING = 0.15, 2.0
-#: costs of offsets, which loads and tilt resemble, count so many times
-_SURER = 1.5
-#: rows that are enough for it
-_ROWS = 300
-#: scales that are beyond what parameters and effects can make, and offsets [rad] that are no
-#: encoder offsets
-_SCALES = (0.33, 0.4, 0.5, 0.57, 0.65, 0.7, 1.4, 1.5, 1.7, 2.0, 2.4, 3.0)
-#: and those that only a voltage of which this share is left over is asked for
-_FAR_SCALES, _FAR_ASKED = (0.2, 0.25, 4.0, 5.0), 0.3
 _OFFSETS = tuple(
     sign * size for size in (0.15, 0.2, 0.3, 0.4, 0.55, 0.8, 1.1, np.pi / 2.0, np.pi) for sign in (1.0, -1.0)
 )
-#: voltages that can be millivolts or counts, and kilovolts, in those of a middling friction
-_GREAT, _SMALL = 60.0, 1.0
 #: factors of units: what the numbers are in, and by what they must be multiplied
 _POSITION_UNITS = (
     ("degrees, not radians", np.pi / 180.0),
@@ -89,7 +57,7 @@ def channel_faults(model: Plausibility, c: Coarse) -> list[Fault]:
             break
         found += [fault for fault in way.faults if fault.channel not in {f.channel for f in found}]
         c = c.changed(**way.change)
-    if found and model.shares(model.fits(c), _ANOTHER_FLOOR).max() < _ANOTHER:
+    if found and model.shares(model.fits(c), CHECKS.channel_another_floor).max() < CHECKS.channel_another:
         return found
     return []
 
@@ -104,15 +72,15 @@ def moderate_faults(model: Plausibility, c: Coarse, slow: Coarse) -> list[Fault]
     near = PriorFit(model)
     counted = [model.moving(slow, j) for j in range(slow.joints)]
     before, after = (near.costs(other, counted)[0] for other in (slow, slow.changed(**change)))
-    return [fault] if after < _HOLDS * before else []
+    return [fault] if after < CHECKS.channel_holds * before else []
 
 
 def unexplained(model: Plausibility, c: Coarse) -> list[Fault]:
     """Joints whose voltage nothing explains: they stand still, or the log is of another plant."""
     found = []
     fits = model.fits(c)
-    shares = model.shares(fits, _ANOTHER_FLOOR)
-    for j in np.flatnonzero(shares >= _ANOTHER):
+    shares = model.shares(fits, CHECKS.channel_another_floor)
+    for j in np.flatnonzero(shares >= CHECKS.channel_another):
         rest = f"; expected a log of {model.mechanism.name}, with channels in the order and units of the format"
         if not fits[j].rows:
             found.append(
@@ -141,10 +109,10 @@ def _best(model: Plausibility, c: Coarse) -> Way | None:
     """The way that puts the log right best, or None where nothing is wrong or none does."""
     fits = model.fits(c)
     before = model.shares(fits)
-    if model.shares(fits, _ANOTHER_FLOOR).max() < _ASKED:
+    if model.shares(fits, CHECKS.channel_another_floor).max() < CHECKS.channel_asked:
         return None
     worst = int(before.argmax())
-    enough = min(_SHRINKS * before[worst], max(_LEFT, 0.1 * before[worst]))
+    enough = min(CHECKS.channel_shrinks * before[worst], max(CHECKS.channel_left, 0.1 * before[worst]))
     tried = []
     for way in _ways(model, c):
         other = c.changed(**way.change)
@@ -156,18 +124,20 @@ def _best(model: Plausibility, c: Coarse) -> Way | None:
         moved = [
             j
             for j, fit in enumerate(changed)
-            if fit.rows and after[j] < _SHRINKS * before[j] and fit.left <= _LEFT_AT_ALL * fit.scale
+            if fit.rows
+            and after[j] < CHECKS.channel_shrinks * before[j]
+            and fit.left <= CHECKS.channel_left_at_all * fit.scale
         ]
-        still = sum(changed[j].rows for j in moved) >= _STILL_MOVES * max(fit.rows for fit in fits)
+        still = sum(changed[j].rows for j in moved) >= CHECKS.channel_still_moves * max(fit.rows for fit in fits)
         if np.any(np.abs(way.change.get("volts", 1.0)) != 1.0):
-            after = np.maximum(after, _ALIKE_SHARE)  # greater volts shrink their floor
+            after = np.maximum(after, CHECKS.channel_alike_share)  # greater volts shrink their floor
         if still:
             tried.append((float(np.log(after / before).sum()), way))
     best = min((score for score, _ in tried), default=0.0)
-    if best > np.log(_SHRINKS):
+    if best > np.log(CHECKS.channel_shrinks):
         return None
     return min(
-        ((way.unusual, score, n, way) for n, (score, way) in enumerate(tried) if score <= best + _ALIKE),
+        ((way.unusual, score, n, way) for n, (score, way) in enumerate(tried) if score <= best + CHECKS.channel_alike),
         key=lambda entry: entry[:3],
     )[3]
 
@@ -233,7 +203,9 @@ def _ways(model: Plausibility, c: Coarse):
         for group in _groups(J):
             volts = np.array([factor if j in group else 1.0 for j in range(J)])
             size = [float(np.abs(c.voltage[:, j]).max()) / model.unit[j] for j in group]
-            if (factor < 1.0 and min(size) < _GREAT) or (factor > 1.0 and max(size) > _SMALL):
+            if (factor < 1.0 and min(size) < CHECKS.channel_great) or (
+                factor > 1.0 and max(size) > CHECKS.channel_small
+            ):
                 continue
             yield Way(
                 whole("voltage", group, f"its numbers are {what}; expected V"),
@@ -252,16 +224,18 @@ def _groups(J: int):
 
 def _nearer(model: Plausibility, c: Coarse) -> tuple[dict, Fault] | None:
     """The change of one position that brings the log nearest to the priors, if by enough."""
-    near, c = PriorFit(model), c.thinned(_ROWS)
+    near, c = PriorFit(model), c.thinned(CHECKS.channel_rows)
     counted = [model.moving(c, j) for j in range(c.joints)]
     before, _ = near.costs(c, counted)
-    if before < _FAR:
+    if before < CHECKS.channel_far:
         return None
-    left = model.shares(model.fits(c), _ANOTHER_FLOOR)
-    least, best = min(before - _GAIN, _NEARER * before, _NEAR), None
+    left = model.shares(model.fits(c), CHECKS.channel_another_floor)
+    least, best = min(before - CHECKS.channel_gain, CHECKS.channel_nearer * before, CHECKS.channel_near), None
     for j in range(c.joints):
         volts = model.speed[j] * c.velocity[counted[j], j]
-        if len(volts) < _MOVING_ROWS * len(c.velocity) or (np.sqrt(np.mean(volts**2)) < _MOVING * model.unit[j]):
+        if len(volts) < CHECKS.channel_moving_rows * len(c.velocity) or (
+            np.sqrt(np.mean(volts**2)) < CHECKS.channel_moving * model.unit[j]
+        ):
             continue  # what hardly moves tells of friction alone
         for change, dearer, what in _changes(model, j, left[j]):
             cost = dearer * near.costs(c.changed(**change), counted)[0]
@@ -273,7 +247,7 @@ def _nearer(model: Plausibility, c: Coarse) -> tuple[dict, Fault] | None:
 def _changes(model: Plausibility, j: int, left: float):
     """(change, factor of its cost, what it says) of scales and offsets of a position."""
     unit, one = model.mechanism.position_unit, np.arange(model.mechanism.joints) == j
-    for size in (*_SCALES, *(_FAR_SCALES if left > _FAR_ASKED else ())):
+    for size in (*CHECKS.channel_scales, *(CHECKS.channel_far_scales if left > CHECKS.channel_far_asked else ())):
         yield (
             {"scale": np.where(one, 1.0 / size, 1.0)},
             1.0,
@@ -285,7 +259,7 @@ def _changes(model: Plausibility, j: int, left: float):
     for size in _OFFSETS if unit == "rad" else ():
         yield (
             {"offset": np.where(one, -size, 0.0)},
-            _SURER,
+            CHECKS.channel_surer,
             (
                 f"it is offset by about {size:.2g} rad, as its weight shows; expected an encoder "
                 "offset of a few hundredths at most"

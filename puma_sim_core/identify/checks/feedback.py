@@ -19,12 +19,7 @@ from scipy.stats import chi2
 
 from puma_sim_core.identify.data import filters
 from puma_sim_core.identify.result import FeedbackBias
-
-#: a p-value below this says that feedback biases [per joint]
-SIGNIFICANCE = 0.005
-#: age [s] past which noise is forgotten, and the ages of the instruments behind it
-_FORGOTTEN = 0.12
-_AGES = (0.0, 0.03, 0.08)
+from puma_sim_core.identify.settings import CHECKS
 
 
 def instruments(problem, joint: int) -> tuple[np.ndarray, str]:
@@ -34,12 +29,12 @@ def instruments(problem, joint: int) -> tuple[np.ndarray, str]:
         source, first, name = s.setpoint[:, [joint]], 0.0, "setpoints"
     else:
         source = np.column_stack([s.voltage[:, joint], s.position[:, joint]])
-        first, name = _FORGOTTEN, "voltages and positions older than the noise"
+        first, name = CHECKS.feedback_forgotten, "voltages and positions older than the noise"
     columns = []
     for rows in s.stretches:
         parts = []
         derivatives = filters.low_pass(source[rows], s.step, s.cutoffs[1], (0, 1, 2, 3))
-        for age in _AGES:
+        for age in CHECKS.feedback_ages:
             shift = int(round((first + age) / s.step))
             for d in derivatives:
                 parts.append(np.vstack([np.repeat(d[:1], shift, axis=0), d[: len(d) - shift]]))
@@ -83,8 +78,8 @@ def test(problem, fit) -> FeedbackBias:
         covariance = np.linalg.inv(G) * max(1.0, float((e**2).mean()))
         statistic[j] = b[1] ** 2 / covariance[1, 1]
     p_value = chi2.sf(statistic, 1)
-    biased = bool((p_value < SIGNIFICANCE).any())
-    joints = ", ".join(str(j + 1) for j in np.flatnonzero(p_value < SIGNIFICANCE))
+    biased = bool((p_value < CHECKS.feedback_significance).any())
+    joints = ", ".join(str(j + 1) for j in np.flatnonzero(p_value < CHECKS.feedback_significance))
     sentence = (
         f"Feedback shows in the voltage of joint {joints}: a delay or an elasticity found "
         f"here may be made by it; a dither on the voltage would tell."

@@ -25,15 +25,7 @@ from puma_sim_core.identify.checks.row_faults import (
 )
 from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.result import Fault
-
-#: a log must have this many rows and last this long [s]
-LEAST_ROWS, LEAST_TIME = 100, 1.0
-#: a joint that moves by less than so many encoder steps, or this share of its range, rests
-_REST_STEPS, _REST_SHARE = 2.5, 1e-5
-#: positions may be outside their ranges by this share of them
-_OUTSIDE = 0.25
-#: scales and offsets must hold for the motion below this frequency [Hz] alone
-_SLOW = 2.0
+from puma_sim_core.identify.settings import CHECKS
 
 
 def check(log: Log, mechanism) -> tuple[list[Fault], list[str]]:
@@ -72,7 +64,7 @@ def check(log: Log, mechanism) -> tuple[list[Fault], list[str]]:
         or channel_faults(model, c)
         or position_faults(log, model)
         or frozen_voltages(log, model, c)
-        or moderate_faults(model, c, coarse(log, _SLOW) or c)
+        or moderate_faults(model, c, coarse(log, CHECKS.gate_slow) or c)
         or frozen_positions(log, model, c)
         or unexplained(model, c)
         or voltage_spikes(log, model)
@@ -84,13 +76,13 @@ def check(log: Log, mechanism) -> tuple[list[Fault], list[str]]:
 
 def _short(log: Log) -> list[Fault]:
     length = float(log.time[-1] - log.time[0])
-    if len(log) < LEAST_ROWS or 0.0 <= length < LEAST_TIME:
+    if len(log) < CHECKS.gate_least_rows or 0.0 <= length < CHECKS.gate_least_time:
         return [
             Fault(
                 "time",
                 None,
                 f"the log is too short: {len(log)} rows over {length:.3g} s; "
-                f"expected {LEAST_ROWS} rows and {LEAST_TIME:g} s at least",
+                f"expected {CHECKS.gate_least_rows} rows and {CHECKS.gate_least_time:g} s at least",
             )
         ]
     return []
@@ -103,14 +95,17 @@ def _rests(log: Log, mechanism) -> np.ndarray:
         q = log.position[:, j]
         blocks = [part.mean() for part in np.array_split(q, 50)]
         width = float(np.ptp(mechanism.ranges[j]))
-        still[j] = np.ptp(blocks) <= max(_REST_STEPS * log.quantum[j], _REST_SHARE * width) and np.ptp(q) < 1e-3 * width
+        still[j] = (
+            np.ptp(blocks) <= max(CHECKS.gate_rest_steps * log.quantum[j], CHECKS.gate_rest_share * width)
+            and np.ptp(q) < 1e-3 * width
+        )
     return still
 
 
 def _outside(log: Log, mechanism) -> list[Fault]:
     found = []
     for j, (low, high) in enumerate(mechanism.ranges):
-        q, room = log.position[:, j], _OUTSIDE * (high - low)
+        q, room = log.position[:, j], CHECKS.gate_outside * (high - low)
         rows = np.flatnonzero((q < low - room) | (q > high + room))
         if rows.size:
             r = int(rows[0])

@@ -17,26 +17,10 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from puma_sim_core.identify.data import filters
+from puma_sim_core.identify.settings import CHECKS
 
-#: motion above this frequency [Hz] plays no part here
-_CUTOFF = 6.0
-#: rows of the coarse series, at most about twice so many
-_ROWS = 1000
-#: factors that honest records give to the parts of the model: (low, high)
-_EMF, _INERTIAL, _GRAVITY = (0.7, 1.4), (0.3, 2.5), (0.3, 4.0)
-#: and of drag, as a share of the speed's part, and of the weight of other links
-_DRAG, _OTHERS = (-0.2, 0.5), (-1.5, 1.5)
-#: dry friction and offsets in volts of a middling friction; width of the dry step, of the speed
-_DRY, _OFFSET, _DRY_WIDTH = (-0.5, 6.0), 3.0, 0.02
 #: place of the column of dry friction, before that of friction that grows with the weight
 _DRY_COLUMN = 4
-#: a joint rests where its speed takes less than this share of the volts of a middling friction, or
-#: is below this share of its greatest speed; friction then holds it against so many times those
-_SLOW, _SLOW_SHARE, _HELD = 0.1, 0.02, 7.0
-#: a stop begins at these shares of the way from an end of the travel
-_STOPS = (0.06, 0.2)
-#: voltages are compared with this many times those of a middling friction, at least
-_FLOOR, _NOISE = 2.0, 0.04
 
 
 @dataclass(frozen=True)
@@ -84,7 +68,7 @@ class Coarse:
         )
 
 
-def coarse(log, cutoff: float = _CUTOFF) -> Coarse | None:
+def coarse(log, cutoff: float = CHECKS.plausibility_cutoff) -> Coarse | None:
     """The part of a log below `cutoff` [Hz]; None where it is too short or too uneven for one. Its
     numbers must be finite and its times increase."""
     step = float(np.median(np.diff(log.time)))
@@ -103,7 +87,7 @@ def coarse(log, cutoff: float = _CUTOFF) -> Coarse | None:
     (enable,) = filters.low_pass(even(enable), step, cutoff)
     q, qd, qdd = filters.low_pass(even(log.position), step, cutoff, (0, 1, 2))
     margin = int(0.5 * filters.edge(cutoff) / step)
-    every = max(1, int(0.15 / (cutoff * step)), (n - 2 * margin) // _ROWS)
+    every = max(1, int(0.15 / (cutoff * step)), (n - 2 * margin) // CHECKS.plausibility_rows)
     rows = slice(margin, n - margin, every)
     return Coarse(volts[rows], rate[rows], q[rows], qd[rows], qdd[rows], enable[rows], step * every)
 
@@ -139,8 +123,10 @@ class Plausibility:
     def moving(self, c: Coarse, joint: int) -> np.ndarray:
         """(n,) where a joint moves under power."""
         speed = np.abs(c.velocity[:, joint])
-        slow = (self.speed[joint] * speed < _SLOW * self.unit[joint]) | (speed < _SLOW_SHARE * float(speed.max()))
-        reach = max(1, int(0.5 / (_CUTOFF * c.step)))
+        slow = (self.speed[joint] * speed < CHECKS.plausibility_slow * self.unit[joint]) | (
+            speed < CHECKS.plausibility_slow_share * float(speed.max())
+        )
+        reach = max(1, int(0.5 / (CHECKS.plausibility_cutoff * c.step)))
         near = np.convolve(slow, np.ones(2 * reach + 1), "same") > 0.5
         return ~near & (c.enable[:, joint] > 0.99)
 
@@ -177,7 +163,7 @@ class Plausibility:
         """A joint that does not move: volts beyond those that friction holds are left over."""
         counted = c.enable[:, joint] > 0.99
         beyond = c.voltage[:, joint] - self.k[joint] * torque[:, joint]
-        beyond = np.sign(beyond) * np.maximum(np.abs(beyond) - _HELD * self.unit[joint], 0.0)
+        beyond = np.sign(beyond) * np.maximum(np.abs(beyond) - CHECKS.plausibility_held * self.unit[joint], 0.0)
         if not counted.any():
             return Fit(0, 0.0, 0.0, None, beyond, counted)
         return Fit(0, _rms(beyond[counted]), float(np.std(c.voltage[counted, joint])), None, beyond, counted)
@@ -192,40 +178,42 @@ class Plausibility:
         )
         speed = self.speed[joint] * v
         fastest, reach = float(np.abs(v).max()) or 1.0, float(np.ptp(q)) or 1.0
-        sign = np.tanh(v / (_DRY_WIDTH * fastest))
-        factor = _EMF if self.drive.emf[joint] > 0.0 else _INERTIAL
+        sign = np.tanh(v / (CHECKS.plausibility_dry_width * fastest))
+        factor = CHECKS.plausibility_emf if self.drive.emf[joint] > 0.0 else CHECKS.plausibility_inertial
         listed = [
-            (inertial, _INERTIAL),
-            (gravity[:, joint], _GRAVITY),
+            (inertial, CHECKS.plausibility_inertial),
+            (gravity[:, joint], CHECKS.plausibility_gravity),
             (speed, factor),
-            (speed * np.abs(v) / fastest, _DRAG),
-            (unit * sign, _DRY),
+            (speed * np.abs(v) / fastest, CHECKS.plausibility_drag),
+            (unit * sign, CHECKS.plausibility_dry),
             (np.abs(gravity[:, joint]) * sign, (0.0, 0.5)),
-            (np.full(len(v), unit), (-_OFFSET, _OFFSET)),
-            (unit * (q - q.mean()) / reach, (-_OFFSET, _OFFSET)),
+            (np.full(len(v), unit), (-CHECKS.plausibility_offset, CHECKS.plausibility_offset)),
+            (unit * (q - q.mean()) / reach, (-CHECKS.plausibility_offset, CHECKS.plausibility_offset)),
         ]
-        for share in _STOPS:
+        for share in CHECKS.plausibility_stops:
             listed.append((unit * np.maximum(q - (q.max() - share * reach), 0.0) / reach, (0.0, np.inf)))
             listed.append((unit * np.minimum(q - (q.min() + share * reach), 0.0) / reach, (0.0, np.inf)))
         listed += [
-            (gravity[:, other], _OTHERS) for other in range(c.joints) if other != joint and np.any(gravity[:, other])
+            (gravity[:, other], CHECKS.plausibility_others)
+            for other in range(c.joints)
+            if other != joint and np.any(gravity[:, other])
         ]
         columns, limits = zip(*listed)
         low, high = zip(*limits)
         return np.column_stack(columns), np.array(low), np.array(high)
 
-    def share(self, fit: Fit, joint: int, floor: float = _FLOOR) -> float:
+    def share(self, fit: Fit, joint: int, floor: float = CHECKS.plausibility_floor) -> float:
         """Share of a joint's voltage that is left over; one that is smaller than `floor` times
         the volts of a middling friction counts as that."""
         unit = self.unit[joint]
-        return float(np.hypot(fit.left, _NOISE * unit) / np.hypot(fit.scale, floor * unit))
+        return float(np.hypot(fit.left, CHECKS.plausibility_noise * unit) / np.hypot(fit.scale, floor * unit))
 
     def fits(self, c: Coarse) -> list[Fit]:
         """`fit` of each joint."""
         parts = self.torques(c)
         return [self.fit(c, joint, parts=parts) for joint in range(c.joints)]
 
-    def shares(self, fits: list[Fit], floor: float = _FLOOR) -> np.ndarray:
+    def shares(self, fits: list[Fit], floor: float = CHECKS.plausibility_floor) -> np.ndarray:
         """(J,) `share` of each joint."""
         return np.array([self.share(fit, joint, floor) for joint, fit in enumerate(fits)])
 

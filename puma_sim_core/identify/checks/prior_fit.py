@@ -13,15 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from puma_sim_core.identify.checks.plausibility import Coarse, Plausibility
-
-#: what is left over counts in this share of the volts of a middling friction, with this share of
-#: the joint's own, and each so long [s] as one independent value
-_NOISE, _SHARE, _CORRELATED = 0.05, 0.007, 0.4
-#: widths: offset, dry friction and spring in volts of a middling friction, load friction, drag as a
-#: share of the speed's volts, load [kg] at a lever [m], tilt [rad], delay or lag of a sensor [s]
-_OFFSET, _DRY, _SPRING, _LOADED, _DRAG, _LOAD, _LEVER, _TILT, _LAG = (1.5, 2.0, 1.5, 0.15, 0.08, 3.0, 0.4, 0.07, 8e-3)
-#: widths of the step of dry friction, as shares of the greatest speed
-_DRY_WIDTHS = (0.015, 0.08)
+from puma_sim_core.identify.settings import CHECKS
 
 
 class PriorFit:
@@ -43,12 +35,12 @@ class PriorFit:
         torque = m.torque(theta, q, qd, qdd) + model.drive.motor_inertia * qdd + model.drive.viscous * qd
         expected = model.k * torque + model.drive.emf * qd
         shared = [self._slopes(c, torque) * m.deviations]
-        load = m.payload_torque(theta, _LEVER, q, qd, qdd)
+        load = m.payload_torque(theta, CHECKS.prior_fit_lever, q, qd, qdd)
         if load is not None:
-            shared.append((_LOAD * model.k * load)[:, :, None])
+            shared.append((CHECKS.prior_fit_load * model.k * load)[:, :, None])
         tilt = m.gravity_tilt(theta, q)
         if tilt is not None:
-            shared.append(_TILT * model.k[:, None] * tilt)
+            shared.append(CHECKS.prior_fit_tilt * model.k[:, None] * tilt)
         shared = np.concatenate(shared, axis=2)
         weight = m.gravity(theta, q) * model.k
         table, wanted = [], []
@@ -58,24 +50,24 @@ class PriorFit:
                 continue
             v, unit = qd[rows, j], model.unit[j]
             fastest = float(np.abs(v).max()) or 1.0
-            steps = [np.tanh(v / (width * fastest)) for width in _DRY_WIDTHS]
+            steps = [np.tanh(v / (width * fastest)) for width in CHECKS.prior_fit_dry_widths]
             part = q[rows, j]
             own = np.column_stack(
                 [
-                    np.full(len(v), _OFFSET * unit),
-                    *(_DRY * unit * step for step in steps),
-                    _SPRING * unit * (part - part.mean()) / max(float(np.ptp(part)), 1e-9),
-                    _LOADED * np.abs(weight[rows, j]) * steps[0],
-                    _DRAG * model.speed[j] * v * np.abs(v) / fastest,
+                    np.full(len(v), CHECKS.prior_fit_offset * unit),
+                    *(CHECKS.prior_fit_dry * unit * step for step in steps),
+                    CHECKS.prior_fit_spring * unit * (part - part.mean()) / max(float(np.ptp(part)), 1e-9),
+                    CHECKS.prior_fit_loaded * np.abs(weight[rows, j]) * steps[0],
+                    CHECKS.prior_fit_drag * model.speed[j] * v * np.abs(v) / fastest,
                     # the motion that is read is that of voltages some milliseconds before
-                    _LAG * c.voltage_rate[rows, j],
+                    CHECKS.prior_fit_lag * c.voltage_rate[rows, j],
                 ]
             )
             block = np.zeros((len(v), c.joints * own.shape[1]))
             block[:, j * own.shape[1] : (j + 1) * own.shape[1]] = own
             # rows closer than the correlation time share one value's weight
-            scale = np.sqrt(min(1.0, c.step / _CORRELATED)) / float(
-                np.hypot(_NOISE * unit, _SHARE * np.std(c.voltage[rows, j]))
+            scale = np.sqrt(min(1.0, c.step / CHECKS.prior_fit_correlated)) / float(
+                np.hypot(CHECKS.prior_fit_noise * unit, CHECKS.prior_fit_share * np.std(c.voltage[rows, j]))
             )
             table.append(scale * np.hstack([shared[rows, j], block]))
             wanted.append(scale * (c.voltage[rows, j] - expected[rows, j]))

@@ -16,29 +16,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from puma_sim_core.identify.checks.plausibility import Coarse, Plausibility
 from puma_sim_core.identify.result import Fault
-
-#: a clock is even where all but this share of its steps are within this share of the middle one
-_EVEN_SHARE, _EVEN = 0.05, 0.02
-#: a gap: steps above so many middle ones with an even clock, and otherwise; and above so many times
-#: the step that all but 1 % stay below
-_GAP_EVEN, _GAP_UNEVEN, _GAP_TAIL = 1.5, 3.0, 2.5
-#: the longest middle step [s] that shows a joint's motion
-SLOWEST = 0.2
-#: a blow, in middling friction torques; a margin
-_BLOW, _MARGIN = 20.0, 1.5
-#: rows of the slopes before and after a row; the longest spike
-_AROUND, _SPIKE = 5, 25
-#: more rows than this share out of line are no single faults
-_MANY = 0.03
-#: a joint that is held may have so many times the volts of its dry friction and, beside them, so
-#: many of a middling one; at most, or where it never moved, so many of those
-_STUCK, _BESIDE, _STUCK_UNKNOWN = 2.2, 3.0, 7.0
-#: and so many times that at an end of its travel, outward
-_AT_AN_END = 5.0
-#: share of a voltage that may be left over where a stretch of the position is called frozen
-_EXPLAINED = 0.4
-#: a frozen channel is one whose joint would have moved by this share of its range
-_FROZEN_TRAVEL = 0.02
+from puma_sim_core.identify.settings import CHECKS
 
 
 def number_faults(log) -> list[Fault]:
@@ -82,21 +60,22 @@ def time_faults(log) -> list[Fault]:
                 )
             )
     middle = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0
-    if middle > SLOWEST:
+    if middle > CHECKS.row_slowest:
         found.append(
             Fault(
                 "time",
                 None,
-                f"rows come each {middle:.3g} s; expected times in seconds, and rows each {SLOWEST} s at least",
+                f"rows come each {middle:.3g} s; expected times in seconds, and rows each "
+                f"{CHECKS.row_slowest} s at least",
             )
         )
     if found or not middle:
         return found
-    far = np.abs(steps / middle - 1.0) > _EVEN
+    far = np.abs(steps / middle - 1.0) > CHECKS.row_even
     limit = (
-        _GAP_EVEN
-        if far.mean() < _EVEN_SHARE
-        else max(_GAP_UNEVEN, _GAP_TAIL * float(np.quantile(steps, 0.99)) / middle)
+        CHECKS.row_gap_even
+        if far.mean() < CHECKS.row_even_share
+        else max(CHECKS.row_gap_uneven, CHECKS.row_gap_tail * float(np.quantile(steps, 0.99)) / middle)
     ) * middle
     gaps = np.flatnonzero(steps > limit)
     if gaps.size:
@@ -118,7 +97,7 @@ def jitter_faults(log) -> list[Fault]:
     steps = np.diff(log.time)
     middle = float(np.median(steps))
     before, after = steps[:-1], steps[1:]
-    uneven = np.abs(after - before) > _EVEN * middle
+    uneven = np.abs(after - before) > CHECKS.row_even * middle
     by_clock, by_count = [], []
     for j in range(log.joints):
         q = log.position[:, j]
@@ -152,8 +131,8 @@ def bounds(log, model: Plausibility) -> np.ndarray:
     volts = np.quantile(np.abs(log.voltage), 0.999, axis=0)
     inertia = m.inertia(model.theta, log.position[:: max(1, len(log) // 500)]).min(axis=0)
     inertia = np.maximum(inertia, 0.0) + model.drive.motor_inertia
-    torque = 2.0 * volts / model.k + _BLOW * model.unit / model.k
-    return _MARGIN * torque / inertia
+    torque = 2.0 * volts / model.k + CHECKS.row_blow * model.unit / model.k
+    return CHECKS.row_margin * torque / inertia
 
 
 def position_faults(log, model: Plausibility) -> list[Fault]:
@@ -163,7 +142,7 @@ def position_faults(log, model: Plausibility) -> list[Fault]:
     lines = [_out_of_line(log, j, limits[j], float(volts[j]), model) for j in range(log.joints)]
     jumps: dict[int, list[int]] = {}
     for j, line in enumerate(lines):
-        if line.rows.size > max(20, _MANY * len(log)):
+        if line.rows.size > max(20, CHECKS.row_many * len(log)):
             continue
         taken = -1
         for n, r in enumerate(line.rows):
@@ -217,10 +196,14 @@ def _out_of_line(log, j, limit, volts, model) -> _Line:
     q, steps = log.position[:, j], np.diff(log.time)
     slope = np.diff(q) / steps
     padded = np.concatenate(
-        [np.full(_AROUND, slope[:_AROUND].mean()), slope, np.full(_AROUND, slope[-_AROUND:].mean())]
+        [
+            np.full(CHECKS.row_around, slope[: CHECKS.row_around].mean()),
+            slope,
+            np.full(CHECKS.row_around, slope[-CHECKS.row_around :].mean()),
+        ]
     )
-    middle = np.median(sliding_window_view(padded, _AROUND), axis=1)
-    before, after = middle[: len(slope)], middle[_AROUND + 1 : _AROUND + 1 + len(slope)]
+    middle = np.median(sliding_window_view(padded, CHECKS.row_around), axis=1)
+    before, after = middle[: len(slope)], middle[CHECKS.row_around + 1 : CHECKS.row_around + 1 + len(slope)]
     inside = np.clip(slope, np.minimum(before, after), np.maximum(before, after))
     excess = np.r_[0.0, (slope - inside) * steps]
     bend = np.abs(np.diff(q, 2))
@@ -242,8 +225,8 @@ def _out_of_line(log, j, limit, volts, model) -> _Line:
 def _comes_back(log, j, r, later, line) -> int | None:
     """The row at which a position that left its line at row r is back on it, or None."""
     q, t = log.position[:, j], log.time
-    for k in later[:_SPIKE]:
-        if k - r > _SPIKE:
+    for k in later[: CHECKS.row_spike]:
+        if k - r > CHECKS.row_spike:
             break
         expected = q[r - 1] + line.slope[r] * (t[k] - t[r - 1])
         if abs(q[k] - expected) < 0.3 * abs(line.excess[r]) and line.excess[k] * line.excess[r] < 0.0:
@@ -344,12 +327,14 @@ def frozen_positions(log, model: Plausibility, c: Coarse) -> list[Fault]:
     at = _times(log, c)
     for j in range(log.joints):
         fit, q = fits[j], log.position[:, j]
-        if fit.rows and model.share(fit, j) > _EXPLAINED:
+        if fit.rows and model.share(fit, j) > CHECKS.row_explained:
             continue  # neither is the motion, then
         held = (
-            _STUCK_UNKNOWN * model.unit[j]
+            CHECKS.row_stuck_unknown * model.unit[j]
             if fit.dry is None
-            else min(_STUCK_UNKNOWN * model.unit[j], _STUCK * fit.dry + _BESIDE * model.unit[j])
+            else min(
+                CHECKS.row_stuck_unknown * model.unit[j], CHECKS.row_stuck * fit.dry + CHECKS.row_beside * model.unit[j]
+            )
         )
         beyond = c.voltage[:, j] - static[:, j]
         beyond = np.sign(beyond) * np.maximum(np.abs(beyond) - held, 0.0) * (c.enable[:, j] > 0.99)
@@ -361,14 +346,14 @@ def frozen_positions(log, model: Plausibility, c: Coarse) -> list[Fault]:
             push = beyond[inside]
             if low < high:  # a stop, or friction with the weight, at an end of the travel
                 steady = np.ptp(c.voltage[inside, j]) < 2.0 * model.unit[j]
-                beyond_end = np.inf if steady else _AT_AN_END * held
+                beyond_end = np.inf if steady else CHECKS.row_at_an_end * held
                 if q[first] >= high - 0.02 * (high - low):
                     push = np.minimum(push, np.maximum(push - beyond_end, 0.0))
                 if q[first] <= low + 0.02 * (high - low):
                     push = np.maximum(push, np.minimum(push + beyond_end, 0.0))
             travel = float(np.abs(push).sum()) * c.step / max(model.speed[j], 1e-12)
             width = float(np.ptp(model.mechanism.ranges[j]))
-            if travel > max(_FROZEN_TRAVEL * width, 20.0 * log.quantum[j]):
+            if travel > max(CHECKS.row_frozen_travel * width, 20.0 * log.quantum[j]):
                 whole = last - first >= 0.98 * len(q)
                 found.append(
                     Fault(
@@ -391,7 +376,7 @@ def frozen_voltages(log, model: Plausibility, c: Coarse) -> list[Fault]:
         v = log.voltage[:, j]
         runs = _runs(v, log.time, 0.25)
         greatest = float(np.abs(v).max())
-        if np.ptp(v) == 0.0 and model.share(model.fit(c, j), j) > _EXPLAINED:
+        if np.ptp(v) == 0.0 and model.share(model.fit(c, j), j) > CHECKS.row_explained:
             found.append(
                 Fault(
                     f"voltage{j + 1}",

@@ -10,9 +10,7 @@ log better than any effect does, and is larger than one can be.
 from __future__ import annotations
 
 from puma_sim_core.identify.result import Fault
-
-#: what its gain must exceed that of every effect that may be named by [nat]
-_CLEARER = 20.0
+from puma_sim_core.identify.settings import CHECKS
 
 
 def wrong_zeros(stages) -> list[Fault]:
@@ -25,7 +23,7 @@ def wrong_zeros(stages) -> list[Fault]:
                 trial.fitted is not None
                 and trial.fitted.point.effects[-1].kind.shifts_zero
                 and trial.problem is not None
-                and trial.gain > max(best, stage.needed(trial.joint)) + _CLEARER
+                and trial.gain > max(best, stage.needed(trial.joint)) + CHECKS.zero_clearer
             ):
                 angle = trial.fitted.point.effects[-1].values["angle"]
                 found.append(

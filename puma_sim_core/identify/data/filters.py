@@ -12,20 +12,17 @@ from __future__ import annotations
 import numpy as np
 from scipy import fft
 
-#: half of the exponent of the response
-_ORDER = 8
-#: time constants 1/fc that the response takes to die away
-_SETTLING = 2.5
+from puma_sim_core.identify.settings import DATA
 
 
 def response(frequency, cutoff: float) -> np.ndarray:
     """H(f) of the filter at frequencies [Hz], without phase; 1/2 at the cutoff [Hz]."""
-    return 1.0 / (1.0 + (np.asarray(frequency) / cutoff) ** _ORDER)
+    return 1.0 / (1.0 + (np.asarray(frequency) / cutoff) ** DATA.filter_order)
 
 
 def edge(cutoff: float) -> float:
     """Time [s] at each end of a stretch that a filter of this cutoff [Hz] spoils."""
-    return _SETTLING / cutoff
+    return DATA.filter_settling / cutoff
 
 
 def low_pass(values: np.ndarray, step: float, cutoff: float, orders=(0,), lag: float = 0.0) -> list[np.ndarray]:

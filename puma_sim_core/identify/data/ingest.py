@@ -20,10 +20,9 @@ import numpy as np
 from puma_sim_core.errors import RecordingError
 from puma_sim_core.identify.data.bag_log import read_bag_log
 from puma_sim_core.identify.data.log import Log, channels
+from puma_sim_core.identify.settings import DATA
 from puma_sim_core.recording.csv_rows import CsvRows
 
-#: rows of a log that are read: a minute at 1 kHz. Explaining them takes 3.7 GB (an arm)
-GREATEST_ROWS = 60_000
 #: groups of channels, in the order of a file; the first two must be there
 GROUPS = ("voltage", "position", "velocity", "current", "setpoint", "enable")
 _REQUIRED = ("voltage", "position")
@@ -54,7 +53,7 @@ def read_log(
     columns: Mapping[str, str] | None = None,
     joints: int = 3,
     *,
-    greatest_rows: int = GREATEST_ROWS,
+    greatest_rows: int = DATA.reading_greatest_rows,
 ) -> Log:
     """Read a CSV file or a bag (its directory or its .mcap file).
 

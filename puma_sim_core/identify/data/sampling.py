@@ -18,15 +18,7 @@ from scipy.interpolate import Akima1DInterpolator
 
 from puma_sim_core.errors import RecordingError
 from puma_sim_core.identify.data import filters
-
-#: first filter [Hz], and its greatest share of the sampling frequency
-_FIRST_CUTOFF, _FIRST_SHARE = 60.0, 0.30
-#: second filter [Hz], and its greatest share of the first
-_SECOND_CUTOFF, _SECOND_SHARE = 25.0, 0.42
-#: rows kept after the second filter, in multiples of its cutoff
-_KEPT = 2.6
-#: steps of time that differ by less than this share count as even
-_EVEN = 0.02
+from puma_sim_core.identify.settings import DATA
 
 
 @dataclass(frozen=True)
@@ -97,8 +89,8 @@ def sample(logs: Sequence) -> Sampled:
     """
     steps = [float(np.median(np.diff(log.time))) for log in logs]
     step = float(np.median(steps))
-    first = min(_FIRST_CUTOFF, _FIRST_SHARE / step)
-    second = min(_SECOND_CUTOFF, _SECOND_SHARE * first)
+    first = min(DATA.sampling_first_cutoff, DATA.sampling_first_share / step)
+    second = min(DATA.sampling_second_cutoff, DATA.sampling_second_share * first)
     shortest = 4.0 * (filters.edge(first) + filters.edge(second))
     parts = []
     for number, log in enumerate(logs):
@@ -118,7 +110,7 @@ def sample(logs: Sequence) -> Sampled:
         [_quantum(np.concatenate([log.position[:, j] for log in logs])) for j in range(logs[0].position.shape[1])]
     )
     noise = np.maximum(_white_noise(raw, step, first), quantum / np.sqrt(12.0))
-    every = max(1, int(1.0 / (step * _KEPT * second)))
+    every = max(1, int(1.0 / (step * DATA.sampling_kept * second)))
     return Sampled(
         step=step,
         quantum=quantum,
@@ -132,7 +124,7 @@ def sample(logs: Sequence) -> Sampled:
 
 def _on_grid(log, step: float, cutoff: float, number: int) -> dict:
     gaps = np.diff(log.time)
-    even = abs(gaps / step - 1.0).max() < _EVEN
+    even = abs(gaps / step - 1.0).max() < DATA.sampling_even
     J = log.position.shape[1]
     enable = (
         np.ones(log.voltage.shape)

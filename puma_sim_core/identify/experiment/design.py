@@ -19,29 +19,11 @@ from puma_sim_core.effects import KINDS
 from puma_sim_core.effects.relations import EXACT_TIES
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.identify.experiment.excitation import Builder, Limits, Motion, voltages
-from puma_sim_core.identify.experiment.separation import NOISE, NUMBERS, Distance, Judge, Suspect, plant_with, play
-from puma_sim_core.identify.settings import SELECTION
+from puma_sim_core.identify.experiment.separation import NUMBERS, Distance, Judge, Suspect, plant_with, play
+from puma_sim_core.identify.settings import EXPERIMENT, SELECTION
 from puma_sim_core.jit import BACKEND
 from puma_sim_core.plant.mechanism import Mechanism
 from puma_sim_core.simulation.simulator import SERVO_PERIOD
-
-#: motions of a search, and of one whose columns take long
-MOTIONS, FEWER_MOTIONS = 150, 80
-#: what part of them is tried without the compiled kernel, which simulates ten times faster
-_UNCOMPILED = 0.2
-#: columns from which they take long
-_MANY_COLUMNS = 40
-#: share of the motions that are random, and how many of the best are gone on from
-_RANDOM, _KEPT = 0.4, 4
-#: motions that a look for exact ties takes; gain [nat] and share that are nothing in all of them
-_LOOKS, _NOTHING, _NO_SHARE = 10, 0.5, 1e-4
-#: how wrong parameters may be, viscous friction among them, and the machines that are tried
-_WRONG, _VISCOUS_WRONG, _MACHINES = 0.08, 0.25, 4
-#: step in which machines are simulated where no more is asked than that they stay in their ranges
-COARSE_STEP = 5e-3
-#: rows of a file, and the least rate that the filters of `explain` can use [1/s]
-_MOST_ROWS, _LEAST_RATE = 300_000, 100.0
-_SHORTEST, _LONGEST = 2.0, 600.0
 
 
 @dataclass(frozen=True)
@@ -83,7 +65,7 @@ class Design:
             what = f"tells {self.suspects[0]} and {self.suspects[1]} of a usual size apart"
         return (
             f"{what} by {self.nats:.3g} nat, which is {self.noises:.2g} times a noise of "
-            f"{NOISE:g} V all the time (one slow sine a joint: {self.plain:.3g} nat)"
+            f"{EXPERIMENT.separation_noise:g} V all the time (one slow sine a joint: {self.plain:.3g} nat)"
         )
 
 
@@ -175,25 +157,25 @@ def design(
     judge = Judge(builder, suspects)
     rng = np.random.default_rng(seed)
     wanted = frozenset(s.joint for s in suspects if s.joint is not None) or frozenset(range(mechanism.joints))
-    first = [builder.plain(), *(builder.random(rng, wanted) for _ in range(_LOOKS))]
+    first = [builder.plain(), *(builder.random(rng, wanted) for _ in range(EXPERIMENT.design_looks))]
     one_way = _ties(judge, first)
     count = motions or _count(judge, first[0])
 
     machines = _machines(judge, rng)
-    coarse = COARSE_STEP * np.arange(int(seconds / COARSE_STEP) + 1)
+    coarse = EXPERIMENT.design_coarse_step * np.arange(int(seconds / EXPERIMENT.design_coarse_step) + 1)
     best: list[tuple[float, int, Motion]] = []
     for n in range(count):
         progress("motions", n / count)
         if n < len(first):
             motion = first[n]
-        elif n < _RANDOM * count or not best:
+        elif n < EXPERIMENT.design_random * count or not best:
             motion = builder.random(rng, wanted)
         else:
             motion = builder.changed(best[int(rng.integers(len(best)))][2], rng)
         motion = _made_safe(judge, motion, coarse, machines, 4)
         if motion is not None:
             best.append((_score(judge.on_play(motion)), -n, motion))
-            best = sorted(best, key=lambda each: each[:2], reverse=True)[:_KEPT]
+            best = sorted(best, key=lambda each: each[:2], reverse=True)[: EXPERIMENT.design_kept]
 
     time = np.arange(int(round(seconds * rate)) + 1) / rate
     found = []
@@ -204,14 +186,14 @@ def design(
             found.append((_score(judge.on_play(safe)), -n, safe))
     if not found:
         raise ParameterError(
-            f"no motion stays in the ranges of the joints when parameters are wrong by {_WRONG:.0%}",
+            f"no motion stays in the ranges of the joints when parameters are wrong by {EXPERIMENT.design_wrong:.0%}",
             where=mechanism.name,
             expected="a shorter record, or wider ranges",
         )
     nats, _, motion = max(found, key=lambda each: each[:2])
     plain = _made_safe(judge, first[0], time, machines, 12)
     labels = tuple(s.label for s in suspects)
-    if nats < _NOTHING:
+    if nats < EXPERIMENT.design_nothing:
         raise ParameterError(
             f"no motion within the limits gives more than {max(nats, 0.0):.2g} nat",
             where="--separate " + ",".join(labels),
@@ -233,18 +215,28 @@ def design(
 
 def _count(judge: Judge, motion: Motion) -> int:
     """Motions of a search that is not told how many."""
-    count = FEWER_MOTIONS if judge.columns(motion) > _MANY_COLUMNS else MOTIONS
-    return count if BACKEND == "numba" else int(_UNCOMPILED * count)
+    count = (
+        EXPERIMENT.design_fewer_motions
+        if judge.columns(motion) > EXPERIMENT.design_many_columns
+        else EXPERIMENT.design_motions
+    )
+    return count if BACKEND == "numba" else int(EXPERIMENT.design_uncompiled * count)
 
 
 def _check(seconds: float, rate: float) -> None:
-    if not _SHORTEST <= seconds <= _LONGEST:
-        raise ParameterError(f"{seconds:g} s", where="--seconds", expected=f"{_SHORTEST:g} to {_LONGEST:g} s")
-    if not rate >= _LEAST_RATE or seconds * rate > _MOST_ROWS:
+    if not EXPERIMENT.design_shortest <= seconds <= EXPERIMENT.design_longest:
+        raise ParameterError(
+            f"{seconds:g} s",
+            where="--seconds",
+            expected=f"{EXPERIMENT.design_shortest:g} to {EXPERIMENT.design_longest:g} s",
+        )
+    if not rate >= EXPERIMENT.design_least_rate or seconds * rate > EXPERIMENT.design_most_rows:
         raise ParameterError(
             f"{rate:g} rows a second",
             where="--rate",
-            expected=(f"{_LEAST_RATE:g} at least, and {_MOST_ROWS} rows in all at the most"),
+            expected=(
+                f"{EXPERIMENT.design_least_rate:g} at least, and {EXPERIMENT.design_most_rows} rows in all at the most"
+            ),
         )
 
 
@@ -265,7 +257,10 @@ def _ties(judge: Judge, motions: list[Motion]) -> str | None:
             raise ParameterError(
                 f"no motion shows {label} here", where=where, expected="an effect that this mechanism can show"
             )
-        if max(look[n].raw for look in looks) > SELECTION.least_gain and max(look[n].nats for look in looks) < _NOTHING:
+        if (
+            max(look[n].raw for look in looks) > SELECTION.least_gain
+            and max(look[n].nats for look in looks) < EXPERIMENT.design_nothing
+        ):
             raise ParameterError(
                 f"{label} is an exact tie with parameters of {judge.mechanism.name}",
                 where=where,
@@ -274,7 +269,7 @@ def _ties(judge: Judge, motions: list[Motion]) -> str | None:
     possible = [
         direction
         for n, direction in enumerate(judge.directions, start=len(labels))
-        if len(labels) == 1 or any(look[n].share > _NO_SHARE for look in looks)
+        if len(labels) == 1 or any(look[n].share > EXPERIMENT.design_no_share for look in looks)
     ]
     if not possible:
         raise ParameterError(
@@ -290,9 +285,11 @@ def _ties(judge: Judge, motions: list[Motion]) -> str | None:
 def _machines(judge: Judge, rng) -> list:
     """Plants that the voltages must suit: wrong parameters, and the effects with usual sizes."""
     mechanism = judge.mechanism
-    wrong = np.array([_VISCOUS_WRONG if "viscous" in p.name else _WRONG for p in mechanism.free])
+    wrong = np.array(
+        [EXPERIMENT.design_viscous_wrong if "viscous" in p.name else EXPERIMENT.design_wrong for p in mechanism.free]
+    )
     thetas = [mechanism.start] + [
-        mechanism.start * (1.0 + wrong * rng.choice([-1.0, 1.0], len(wrong))) for _ in range(_MACHINES)
+        mechanism.start * (1.0 + wrong * rng.choice([-1.0, 1.0], len(wrong))) for _ in range(EXPERIMENT.design_machines)
     ]
     plants = [mechanism.plant(theta) for theta in thetas]
     return plants + [plant_with(mechanism, theta, effects) for theta, effects in zip(thetas[1:], judge.usual)]
@@ -311,5 +308,5 @@ def _made_safe(judge: Judge, motion: Motion, time, machines, tries: int) -> Moti
 
 
 def _stays(plant, motion, time, volts, limits) -> bool:
-    position = play(plant, motion, time, volts, COARSE_STEP)
+    position = play(plant, motion, time, volts, EXPERIMENT.design_coarse_step)
     return position is not None and limits.hold(position)

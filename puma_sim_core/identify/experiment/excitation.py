@@ -16,21 +16,8 @@ import numpy as np
 
 from puma_sim_core.effects.screening import Signals
 from puma_sim_core.identify.screening.known_effects import known_voltage
+from puma_sim_core.identify.settings import EXPERIMENT
 from puma_sim_core.plant.mechanism import Mechanism
-
-HARMONICS, FAST = 5, 3
-#: rest at the start and at the end of a record [s], and the time in which a motion swells
-_REST, _SWELL = 0.15, 0.8
-#: frequencies of the Fourier series' base at the most, and of the fast waves [Hz]
-_BASE, _FAST = 0.4, (4.0, 15.0)
-#: how sharp the corners of a triangle are: 1 is a corner
-_SHARP = 0.97
-#: share of the range that is kept free at each end, share of the voltage that is used
-_MARGIN, _VOLTAGE_SHARE = 0.06, 0.95
-#: supply of the arm's motors [V]; of other machines, in voltages of a middling friction torque
-_ARM_VOLTAGE, _OTHER_VOLTAGE = 40.0, 10.0
-#: greatest speed where none is given, in ranges of the joint a second
-_SPEED = 0.6
 
 
 @dataclass(frozen=True)
@@ -53,9 +40,11 @@ class Limits:
         span = np.array([high - low for low, high in mechanism.ranges])
         if voltage is None:
             unit = mechanism.drive(mechanism.start).volts_per_torque * mechanism.torque_scale
-            voltage = _ARM_VOLTAGE if J > 1 else _OTHER_VOLTAGE * float(unit[0])
+            voltage = EXPERIMENT.motion_arm_voltage if J > 1 else EXPERIMENT.motion_other_voltage * float(unit[0])
         return cls(
-            mechanism.ranges, _SPEED * span if velocity is None else np.full(J, velocity), np.full(J, float(voltage))
+            mechanism.ranges,
+            EXPERIMENT.motion_speed * span if velocity is None else np.full(J, velocity),
+            np.full(J, float(voltage)),
         )
 
     def hold(self, position: np.ndarray) -> bool:
@@ -98,18 +87,18 @@ class Motion:
             a[:, j] -= w[j, n] ** 2 * s
         size, turns, phase = self.triangle.T
         w = 2.0 * np.pi * turns / self.seconds
-        s, c = (_SHARP * f(w * time[:, None] + phase) for f in (np.sin, np.cos))
+        s, c = (EXPERIMENT.motion_sharp * f(w * time[:, None] + phase) for f in (np.sin, np.cos))
         root = np.sqrt(1.0 - s * s)
-        size = size / np.arcsin(_SHARP)
+        size = size / np.arcsin(EXPERIMENT.motion_sharp)
         x, v = x + size * np.arcsin(s), v + size * w * c / root
-        a = a - size * w * w * s * (1.0 - _SHARP**2) / root**3
+        a = a - size * w * w * s * (1.0 - EXPERIMENT.motion_sharp**2) / root**3
         e, e1, e2 = self._envelope(time)
         return (self.centre + e * x, e1 * x + e * v, e2 * x + 2.0 * e1 * v + e * a)
 
     def _envelope(self, time):
         """(n, J) share of the motion, with its first and second derivatives."""
         begin, end = self.span.T
-        swell = np.minimum(_SWELL, 0.4 * (end - begin))
+        swell = np.minimum(EXPERIMENT.motion_swell, 0.4 * (end - begin))
         up, up1, up2 = _step((time[:, None] - begin) / swell)
         down, down1, down2 = _step((end - time[:, None]) / swell)
         # at least one of the two is constant wherever the other is not
@@ -185,7 +174,7 @@ class Builder:
             if what == 0:
                 m.centre[j] += 0.15 * self.half[j] * rng.normal()
             elif what == 1:
-                m.amplitude[j, :HARMONICS] *= np.exp(0.4 * rng.normal())
+                m.amplitude[j, : EXPERIMENT.motion_harmonics] *= np.exp(0.4 * rng.normal())
             elif what == 2:
                 m.phase[j] += 0.5 * rng.normal(size=m.phase.shape[1])
             elif what == 3:
@@ -200,11 +189,11 @@ class Builder:
                 self._span(m, j, rng)
             else:
                 m.triangle[j, 0] *= np.exp(0.7 * rng.normal())
-                m.amplitude[j, HARMONICS:] *= np.exp(0.7 * rng.normal())
+                m.amplitude[j, EXPERIMENT.motion_harmonics :] *= np.exp(0.7 * rng.normal())
         return self.within(m)
 
     def _rest(self) -> Motion:
-        J, K = self.mechanism.joints, HARMONICS + FAST
+        J, K = self.mechanism.joints, EXPERIMENT.motion_harmonics + EXPERIMENT.motion_fast
         return Motion(
             self.seconds,
             self.limits.home,
@@ -212,52 +201,54 @@ class Builder:
             np.ones((J, K)),
             np.zeros((J, K)),
             np.tile([0.0, 1.0, 0.0], (J, 1)),
-            np.tile([_REST, self.seconds - _REST], (J, 1)),
+            np.tile([EXPERIMENT.motion_rest, self.seconds - EXPERIMENT.motion_rest], (J, 1)),
         )
 
     def _place(self, m: Motion, j: int, rng) -> None:
         """A pose: the middle of the range, or somewhere."""
         away = rng.uniform(-1.0, 1.0) if rng.random() < 0.7 else 0.0
-        m.centre[j] = self.limits.home[j] + (1.0 - 2.0 * _MARGIN) * self.half[j] * away
+        m.centre[j] = self.limits.home[j] + (1.0 - 2.0 * EXPERIMENT.motion_margin) * self.half[j] * away
 
     def _swing(self, m: Motion, j: int, rng) -> None:
         """The Fourier series: its base, how fast it falls off, and its size."""
-        base = np.exp(rng.uniform(np.log(1.0 / self.seconds), np.log(max(_BASE, 1.0 / self.seconds))))
-        k = np.arange(1, HARMONICS + 1)
-        shape = rng.normal(size=HARMONICS) / k ** rng.uniform(0.0, 2.0)
+        base = np.exp(rng.uniform(np.log(1.0 / self.seconds), np.log(max(EXPERIMENT.motion_base, 1.0 / self.seconds))))
+        k = np.arange(1, EXPERIMENT.motion_harmonics + 1)
+        shape = rng.normal(size=EXPERIMENT.motion_harmonics) / k ** rng.uniform(0.0, 2.0)
         size = self.half[j] * (
             rng.uniform(0.3, 1.0) if rng.random() < 0.5 else np.exp(rng.uniform(np.log(0.02), np.log(0.3)))
         )
-        m.count[j, :HARMONICS] = max(1, round(base * self.seconds)) * k
-        m.phase[j, :HARMONICS] = rng.uniform(0.0, 2.0 * np.pi, HARMONICS)
-        m.amplitude[j, :HARMONICS] = size * shape / np.abs(shape).sum()
+        m.count[j, : EXPERIMENT.motion_harmonics] = max(1, round(base * self.seconds)) * k
+        m.phase[j, : EXPERIMENT.motion_harmonics] = rng.uniform(0.0, 2.0 * np.pi, EXPERIMENT.motion_harmonics)
+        m.amplitude[j, : EXPERIMENT.motion_harmonics] = size * shape / np.abs(shape).sum()
 
     def _triangle(self, m: Motion, j: int, rng) -> None:
         """A slow triangle of a few cycles; half of the time in place of the series."""
         if rng.random() < 0.5:
-            m.amplitude[j, :HARMONICS] *= 0.05
+            m.amplitude[j, : EXPERIMENT.motion_harmonics] *= 0.05
         size = self.half[j] * np.exp(rng.uniform(np.log(0.01), np.log(0.8)))
         m.triangle[j] = size, rng.integers(1, max(2, round(0.6 * self.seconds)) + 1), rng.uniform(0.0, 2.0 * np.pi)
 
     def _shake(self, m: Motion, j: int, rng) -> None:
         """Fast waves that take a part of a middling friction's voltage each."""
-        counts = np.round(rng.uniform(*_FAST, FAST) * self.seconds)
+        counts = np.round(rng.uniform(*EXPERIMENT.motion_fast_band, EXPERIMENT.motion_fast) * self.seconds)
         w = 2.0 * np.pi * counts / self.seconds
         inertia = self.drive.motor_inertia[j] + self.mechanism.inertia(self.theta, m.centre[None])[0, j]
         takes = np.hypot(
             self.drive.emf[j] * w + self.drive.volts_per_torque[j] * self.drive.viscous[j] * w,
             self.drive.volts_per_torque[j] * inertia * w * w,
         )
-        m.count[j, HARMONICS:] = counts
-        m.phase[j, HARMONICS:] = rng.uniform(0.0, 2.0 * np.pi, FAST)
-        m.amplitude[j, HARMONICS:] = self.volts[j] * np.exp(rng.uniform(np.log(0.05), np.log(2.0), FAST)) / takes
+        m.count[j, EXPERIMENT.motion_harmonics :] = counts
+        m.phase[j, EXPERIMENT.motion_harmonics :] = rng.uniform(0.0, 2.0 * np.pi, EXPERIMENT.motion_fast)
+        m.amplitude[j, EXPERIMENT.motion_harmonics :] = (
+            self.volts[j] * np.exp(rng.uniform(np.log(0.05), np.log(2.0), EXPERIMENT.motion_fast)) / takes
+        )
 
     def _span(self, m: Motion, j: int, rng) -> None:
         """The joint moves for a part of the record."""
         first, last = np.sort(rng.uniform(0.0, 1.0, 2))
         if last - first < 0.3:
             first, last = 0.0, 1.0
-        m.span[j] = _REST + np.array([first, last]) * (self.seconds - 2.0 * _REST)
+        m.span[j] = EXPERIMENT.motion_rest + np.array([first, last]) * (self.seconds - 2.0 * EXPERIMENT.motion_rest)
 
     # --------------------------------------------------------------------------------- limits
 
@@ -265,7 +256,7 @@ class Builder:
         """The motion moved and made smaller until it keeps to the limits."""
         limits = self.limits
         low, high = np.array(limits.position).T
-        free = (1.0 - 2.0 * _MARGIN) * 2.0 * self.half
+        free = (1.0 - 2.0 * EXPERIMENT.motion_margin) * 2.0 * self.half
         q, qd, _ = m.at(self.time)
         by = np.minimum(
             1.0,
@@ -278,12 +269,12 @@ class Builder:
             q, qd, qdd = m.at(self.time)
             inside = np.clip(
                 m.centre,
-                low + _MARGIN * 2.0 * self.half + m.centre - q.min(axis=0),
-                high - _MARGIN * 2.0 * self.half + m.centre - q.max(axis=0),
+                low + EXPERIMENT.motion_margin * 2.0 * self.half + m.centre - q.min(axis=0),
+                high - EXPERIMENT.motion_margin * 2.0 * self.half + m.centre - q.max(axis=0),
             )
             q, m = q + inside - m.centre, replace(m, centre=inside)
             peak = np.abs(self.mechanism.model_voltage(self.theta, q, qd, qdd)).max(axis=0)
-            over = peak / (_VOLTAGE_SHARE * limits.voltage)
+            over = peak / (EXPERIMENT.motion_voltage_share * limits.voltage)
             if (over <= 1.0).all():
                 break
             # the torques of a joint come from the others' motion too

@@ -13,10 +13,8 @@ from puma_sim_core.effects import KINDS
 from puma_sim_core.identify.experiment.excitation import Builder, Limits
 from puma_sim_core.identify.experiment.separation import Judge, Suspect
 from puma_sim_core.identify.result import Hypothesis, NextExperiment
+from puma_sim_core.identify.settings import EXPERIMENT
 from puma_sim_core.plant.mechanism import Mechanism
-
-#: motions that are looked at before an effect counts as one that no motion shows, their length [s]
-_LOOKS, _SECONDS = 6, 5.0
 
 
 def next_experiment(
@@ -80,12 +78,13 @@ def _within(first, second) -> bool:
 
 def _has_columns(each, mechanism: Mechanism) -> bool:
     """Whether one of a few motions brings it out: joint 1 of an arm bears no load of gravity."""
-    builder = Builder(mechanism, Limits.of(mechanism), _SECONDS)
+    builder = Builder(mechanism, Limits.of(mechanism), EXPERIMENT.offer_seconds)
     suspect = Suspect(KINDS[each.name], None if each.joint is None else each.joint - 1)
     judge, rng = Judge(builder, (suspect,)), np.random.default_rng(0)
     wanted = frozenset(range(mechanism.joints))
     return any(
-        judge.shown(0, motion) for motion in (builder.plain(), *(builder.random(rng, wanted) for _ in range(_LOOKS)))
+        judge.shown(0, motion)
+        for motion in (builder.plain(), *(builder.random(rng, wanted) for _ in range(EXPERIMENT.offer_looks)))
     )
 
 

@@ -23,25 +23,12 @@ from puma_sim_core.effects.screening import TORQUE_COLUMN, VOLTAGE_COLUMN, Candi
 from puma_sim_core.errors import NonFiniteStateError, ParameterError
 from puma_sim_core.identify.data import filters
 from puma_sim_core.identify.experiment.excitation import Builder, Motion, signals_of, voltages
+from puma_sim_core.identify.settings import EXPERIMENT
 from puma_sim_core.plant.mechanism import Mechanism
 from puma_sim_core.simulation.simulator import SERVO_PERIOD, Simulator
 
-#: noise of the voltage [V] within the second filter's band
-NOISE = 0.05
-#: cutoffs of the filters [Hz], as in `sampling`
-_FIRST, _SECOND = 60.0, 25.0
 #: independent numbers a second in that band
-NUMBERS = 2.0 * _SECOND
-#: step of columns [s]; a finer one for waves of the motor's angle, which would fold down to low
-#: frequencies, and for shifts in time. Parameters' derivatives, which are smooth, are taken at a
-#: coarse one; rows are kept at a coarser one yet
-_STEP, _FINE, _COARSE, _KEPT = 5e-3, 2.5e-3, 1e-2, 2e-2
-#: counts of an encoder a turn of the motor; of one joint without gears, counts of its range
-_COUNTS, _COUNTS_OF_RANGE = 1000.0, 16384.0
-#: rows of a block of a product
-_BLOCK = 64
-#: a joint rests below this many standard deviations of its speed's noise, for this long [s]
-_REST_NOISE, _REST_TIME = 4.0, 0.12
+NUMBERS = 2.0 * EXPERIMENT.separation_second
 
 
 @dataclass(frozen=True)
@@ -81,7 +68,7 @@ class Judge:
         self.mechanism, self.limits = builder.mechanism, builder.limits
         self.shaken = any(s.kind.acts in (SENSING, TRANSMISSION) for s in suspects)
         self.noise = velocity_noise(self.mechanism)
-        self.step = _FINE if any(s.kind.fine for s in suspects) else _STEP
+        self.step = EXPERIMENT.separation_fine if any(s.kind.fine for s in suspects) else EXPERIMENT.separation_step
         #: directions (of, against) that count; `design` drops those of special cases
         self.directions = [(0, None)] if len(suspects) == 1 else [(0, 1), (1, 0)]
 
@@ -95,13 +82,13 @@ class Judge:
         where it leaves its ranges."""
         time = self._time(motion)
         volts = voltages(self.mechanism, motion, time, self.noise)
-        position = play(plant_with(self.mechanism, None, effects), motion, time, volts, _FINE)
+        position = play(plant_with(self.mechanism, None, effects), motion, time, volts, EXPERIMENT.separation_fine)
         if position is None or not self.limits.hold(position):
             return None
-        return self._seen(*filters.low_pass(position, self.step, _FIRST, (0, 1, 2)), volts)
+        return self._seen(*filters.low_pass(position, self.step, EXPERIMENT.separation_first, (0, 1, 2)), volts)
 
     def _time(self, motion: Motion) -> np.ndarray:
-        whole = round(_KEPT / self.step)
+        whole = round(EXPERIMENT.separation_kept / self.step)
         return self.step * np.arange(int(motion.seconds / self.step) // whole * whole + 1)
 
     def _seen(self, q, qd, qdd, volts) -> Signals:
@@ -169,11 +156,11 @@ def velocity_noise(mechanism: Mechanism) -> np.ndarray:
     """(J,) standard deviation of velocities [rad/s] by an encoder's counts, past the first filter
     at the servo's rate."""
     if mechanism.joints > 1:
-        count = 2.0 * np.pi / (_COUNTS * np.abs(mechanism.gear))
+        count = 2.0 * np.pi / (EXPERIMENT.separation_counts * np.abs(mechanism.gear))
     else:
-        count = np.array([(high - low) / _COUNTS_OF_RANGE for low, high in mechanism.ranges])
+        count = np.array([(high - low) / EXPERIMENT.separation_counts_of_range for low, high in mechanism.ranges])
     f = np.linspace(0.0, 0.5 / SERVO_PERIOD, 2000)
-    gain = np.sum((2.0 * np.pi * f * filters.response(f, _FIRST)) ** 2) * f[1]
+    gain = np.sum((2.0 * np.pi * f * filters.response(f, EXPERIMENT.separation_first)) ** 2) * f[1]
     return count / np.sqrt(12.0) * np.sqrt(2.0 * SERVO_PERIOD * gain)
 
 
@@ -202,23 +189,27 @@ class _Parameters:
 
     def __init__(self, mechanism: Mechanism, signals: Signals):
         self.signals = signals
-        n, whole = len(signals.time), round(_KEPT / signals.step)
-        margin = sum(map(filters.edge, (_FIRST, _SECOND)))
-        first = int(np.ceil(margin / _KEPT)) * whole
+        n, whole = len(signals.time), round(EXPERIMENT.separation_kept / signals.step)
+        margin = sum(map(filters.edge, (EXPERIMENT.separation_first, EXPERIMENT.separation_second)))
+        first = int(np.ceil(margin / EXPERIMENT.separation_kept)) * whole
         self.kept = np.arange(first, n - first, whole)
         self.moving = ~_resting(signals)[self.kept]
-        theta, thin = mechanism.start, slice(None, None, round(_COARSE / signals.step))
+        theta, thin = mechanism.start, slice(None, None, round(EXPERIMENT.separation_coarse / signals.step))
         q, qd, qdd = (a[thin] for a in (signals.position, signals.velocity, signals.acceleration))
         drive, slopes = mechanism.drive(theta), mechanism.drive_jacobian(theta)
-        rows = np.arange(first // whole, first // whole + len(self.kept)) * round(_KEPT / _COARSE)
+        rows = np.arange(first // whole, first // whole + len(self.kept)) * round(
+            EXPERIMENT.separation_kept / EXPERIMENT.separation_coarse
+        )
         by_torque = mechanism.torque_jacobian(theta, q, qd, qdd)
         torque = mechanism.total_torque(theta, q, qd, qdd)
         out = np.empty((len(rows), signals.joints, len(theta)))
         for j in range(signals.joints):
             k, lag = drive.volts_per_torque[j], drive.lag[j]
-            (acting,) = filters.low_pass(by_torque[:, j], _COARSE, _SECOND, (0,), lag)
-            T0, T1 = filters.low_pass(torque[:, j], _COARSE, _SECOND, (0, 1))
-            (w,) = filters.low_pass(qd[:, j], _COARSE, _SECOND)
+            (acting,) = filters.low_pass(
+                by_torque[:, j], EXPERIMENT.separation_coarse, EXPERIMENT.separation_second, (0,), lag
+            )
+            T0, T1 = filters.low_pass(torque[:, j], EXPERIMENT.separation_coarse, EXPERIMENT.separation_second, (0, 1))
+            (w,) = filters.low_pass(qd[:, j], EXPERIMENT.separation_coarse, EXPERIMENT.separation_second)
             out[:, j] = k * acting[rows]
             out[:, j] += np.outer((T0 + lag * T1)[rows], slopes.volts_per_torque[j])
             out[:, j] += np.outer(T1[rows], k * slopes.lag[j]) + np.outer(w[rows], slopes.emf[j])
@@ -227,9 +218,9 @@ class _Parameters:
 
     def _rows(self, values: np.ndarray) -> np.ndarray:
         """(m, J, p) as (m J, p) in units of the noise, 0 where a joint rests."""
-        values = values * (self.moving[:, :, None] / NOISE)
+        values = values * (self.moving[:, :, None] / EXPERIMENT.separation_noise)
         # the noise is that of a band; a kept row stands for the time to the next
-        weight = np.sqrt(NUMBERS * _KEPT)
+        weight = np.sqrt(NUMBERS * EXPERIMENT.separation_kept)
         return weight * values.reshape(-1, values.shape[2])
 
     def reduced(self, candidates: list[Candidate]) -> list[np.ndarray]:
@@ -247,7 +238,9 @@ class _Parameters:
                 if not full:
                     continue
                 torque = unit == TORQUE_COLUMN
-                (past,) = filters.low_pass(np.stack(full, axis=1), s.step, _SECOND, (0,), s.lag[j] if torque else 0.0)
+                (past,) = filters.low_pass(
+                    np.stack(full, axis=1), s.step, EXPERIMENT.separation_second, (0,), s.lag[j] if torque else 0.0
+                )
                 out[:, j, at] = past[self.kept] * (s.volts_per_torque[j] if torque else 1.0)
         return np.split(self._rows(out), np.cumsum(widths)[:-1], axis=1)
 
@@ -261,19 +254,19 @@ def _product(A: np.ndarray, B: np.ndarray) -> np.ndarray:
     """A'B, in blocks so small that no library spreads them over threads: that costs more than it
     gains here, and lets the last bits depend on the number of cores."""
     out = np.zeros((A.shape[1], B.shape[1]))
-    for first in range(0, len(A), _BLOCK):
-        out += A[first : first + _BLOCK].T @ B[first : first + _BLOCK]
+    for first in range(0, len(A), EXPERIMENT.separation_block):
+        out += A[first : first + EXPERIMENT.separation_block].T @ B[first : first + EXPERIMENT.separation_block]
     return out
 
 
 def _resting(signals: Signals) -> np.ndarray:
     """(n, J) whether a joint rests."""
-    reach, out = int(_REST_TIME / signals.step), np.zeros(signals.velocity.shape, dtype=bool)
+    reach, out = int(EXPERIMENT.separation_rest_time / signals.step), np.zeros(signals.velocity.shape, dtype=bool)
     for j in range(signals.joints):
         speed = np.abs(signals.velocity[:, j])
-        slow = speed < max(_REST_NOISE * signals.velocity_noise[j], 2e-3 * speed.max())
+        slow = speed < max(EXPERIMENT.separation_rest_noise * signals.velocity_noise[j], 2e-3 * speed.max())
         long = binary_opening(slow, np.ones(reach))
-        out[:, j] = binary_dilation(long, np.ones(2 * int(0.5 / (_SECOND * signals.step)) + 1))
+        out[:, j] = binary_dilation(long, np.ones(2 * int(0.5 / (EXPERIMENT.separation_second * signals.step)) + 1))
     return out
 
 

@@ -19,20 +19,7 @@ from scipy.optimize import nnls
 
 from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.noise.weighting import Weighting
-
-#: correlation times of disturbances [s]
-_LASTING = (0.005, 0.010, 0.020, 0.040, 0.080, 0.160)
-#: width of a band: least [Hz], and as a share of its frequency; least number of lines in it
-_BAND, _SHARE, _LEAST_LINES = 1.0, 0.15, 6
-#: shortest stretch of rows that gives a periodogram [s]
-_SHORTEST = 0.3
-#: steps of a fit of weights
-_STEPS = 300
-#: longest filter [s]
-_LONGEST = 1.5
-#: share of the lines of a tapered periodogram that are independent, and what a line that stands out
-#: counts as, over the spectrum
-_INDEPENDENT, _OUTLYING = 0.5, 8.0
+from puma_sim_core.identify.settings import NOISE
 
 
 @dataclass(frozen=True)
@@ -56,7 +43,7 @@ def weighting(predictor: Predictor, errors: np.ndarray, before: Weighting | None
 
 def noise(predictor: Predictor, errors: np.ndarray, j: int, before: Weighting | None = None) -> Noise:
     """The noise of joint j (0-based) by innovations (N,), as `weighting`."""
-    size = fft.next_fast_len(2 * int(_LONGEST / predictor.step), real=True)
+    size = fft.next_fast_len(2 * int(NOISE.spectrum_longest / predictor.step), real=True)
     frequency = fft.rfftfreq(size, predictor.step)
     spectra = _sources(predictor, j, frequency)
     passed = (
@@ -71,7 +58,9 @@ def noise(predictor: Predictor, errors: np.ndarray, j: int, before: Weighting | 
     likelihood = 0.0
     if len(f):
         model = np.interp(f, frequency, spectrum * passed)
-        likelihood = -_INDEPENDENT * float((np.log(model) + np.minimum(power / model, _OUTLYING)).sum())
+        likelihood = -NOISE.spectrum_independent * float(
+            (np.log(model) + np.minimum(power / model, NOISE.spectrum_outlying)).sum()
+        )
     return Noise(_whitening(spectrum, predictor.step, size), likelihood)
 
 
@@ -93,7 +82,7 @@ def _sources(predictor, j, frequency) -> np.ndarray:
     known = white * predictor.spread[j] ** 2
     sensor = np.maximum(known - predictor.volts[j] ** 2 * volts, 1e-3 * known)
     parts = [known, sensor, volts]
-    for time in _LASTING:
+    for time in NOISE.spectrum_lasting:
         keep = np.exp(-step / time)
         parts.append(volts * (1.0 - keep**2) / np.abs(1.0 - keep * np.exp(-2j * np.pi * frequency * step)) ** 2)
     # each of a unit's variance, so that weights are of one size
@@ -109,7 +98,7 @@ def _periodogram(predictor, errors, j) -> tuple[np.ndarray, np.ndarray]:
         good = np.r_[0, rows[start : start + n].astype(int), 0]
         change = np.flatnonzero(np.diff(good))
         for a, b in zip(change[::2], change[1::2]):
-            if (b - a) * step < _SHORTEST:
+            if (b - a) * step < NOISE.spectrum_shortest:
                 continue
             taper = np.hanning(b - a)
             power = np.abs(np.fft.rfft(errors[start + a : start + b] * taper)) ** 2
@@ -127,9 +116,9 @@ def _weights(frequency, spectra, f, power) -> np.ndarray:
     measured, design = [], []
     start = 0
     while start < len(f):
-        stop = int(np.searchsorted(f, f[start] + max(_BAND, _SHARE * f[start])))
-        stop = max(stop, start + _LEAST_LINES)
-        if len(f) - stop < _LEAST_LINES:
+        stop = int(np.searchsorted(f, f[start] + max(NOISE.spectrum_band, NOISE.spectrum_share * f[start])))
+        stop = max(stop, start + NOISE.spectrum_least_lines)
+        if len(f) - stop < NOISE.spectrum_least_lines:
             stop = len(f)
         measured.append(float(np.median(power[start:stop])) / np.log(2.0))
         inside = (frequency >= f[start]) & (frequency <= f[stop - 1])
@@ -148,7 +137,7 @@ def _weights(frequency, spectra, f, power) -> np.ndarray:
     weights = only
     for _ in range(12):
         try:
-            weights, _ = nnls(design / model[:, None], measured / model, maxiter=_STEPS)
+            weights, _ = nnls(design / model[:, None], measured / model, maxiter=NOISE.spectrum_steps)
         except RuntimeError:  # sources that are nearly the same: the weights of before will do
             break
         model = np.maximum(0.5 * model + 0.5 * design @ weights, 1e-6 * measured)

@@ -20,17 +20,7 @@ from scipy.optimize import nnls
 
 from puma_sim_core.identify.data import filters
 from puma_sim_core.identify.data.sampling import Sampled
-
-#: correlation times of disturbances [s]
-_LASTING = (0.010, 0.040, 0.160)
-#: least standard deviation of the white voltage noise [V] in the band
-_LEAST = 1e-4
-#: width of a band of the periodogram [Hz], and its least number of frequencies
-_BAND, _LEAST_LINES = 1.5, 6
-#: share of the variance added to every diagonal: rows past the second filter are nearly dependent
-_JITTER = 2e-3
-#: rows of one block of the covariance; longer stretches are cut
-_BLOCK = 1500
+from puma_sim_core.identify.settings import NOISE
 
 
 @dataclass(frozen=True)
@@ -58,7 +48,7 @@ def sources(sampled: Sampled, stiffness: float, emf: float, lag: float, most: in
     to_volts = np.abs((stiffness * w**2 * (1.0 + lag * w) + emf * w) * first) ** 2
     one = np.full(len(f), 2.0 * step)
     parts = [one, one * to_volts]
-    for time in _LASTING:
+    for time in NOISE.residual_lasting:
         parts.append(4.0 * time / (1.0 + (2.0 * np.pi * f * time) ** 2))
     spectra = np.array(parts) * second
     covariances = np.fft.irfft(spectra, n, axis=1) * (0.5 / step)
@@ -95,14 +85,16 @@ def fit_weights(
     top = min(1.15 * sampled.cutoffs[1], 0.45 / step)
     lines = np.concatenate([f for f, _ in bands]) if bands else np.zeros(0)
     while edges[-1] < top:
-        width = _BAND
-        while ((lines > edges[-1]) & (lines <= edges[-1] + width)).sum() < _LEAST_LINES and edges[-1] + width < top:
-            width += _BAND
+        width = NOISE.residual_band
+        while ((lines > edges[-1]) & (lines <= edges[-1] + width)).sum() < NOISE.residual_least_lines and edges[
+            -1
+        ] + width < top:
+            width += NOISE.residual_band
         edges.append(edges[-1] + width)
     measured, design = [], []
     for low, high in itertools.pairwise(edges):
         inside = np.concatenate([p[(f > low) & (f <= high)] for f, p in bands]) if bands else np.zeros(0)
-        if len(inside) < _LEAST_LINES // 2:
+        if len(inside) < NOISE.residual_least_lines // 2:
             continue
         measured.append(np.median(inside) / np.log(2.0))
         grid = (source.frequency > low) & (source.frequency <= high)
@@ -136,10 +128,10 @@ class Whitener:
         self._blocks = []
         start = 0
         covariance = covariance.copy()
-        covariance[0] *= 1.0 + _JITTER
+        covariance[0] *= 1.0 + NOISE.residual_jitter
         while start < len(rows):
             stop = start
-            while stop < len(rows) and stretch[stop] == stretch[start] and stop - start < _BLOCK:
+            while stop < len(rows) and stretch[stop] == stretch[start] and stop - start < NOISE.residual_block:
                 stop += 1
             at = place[start:stop]
             C = covariance[np.abs(at[:, None] - at[None, :])]
@@ -159,6 +151,6 @@ class Whitener:
 def least_weights(sampled: Sampled, joint: int, number: int) -> np.ndarray:
     """Budget (k,): what white noise [V] and rounding leave at least."""
     budget = np.zeros(number)
-    budget[0] = _LEAST**2
+    budget[0] = NOISE.residual_least**2
     budget[1] = max(sampled.position_noise[joint], 0.0) ** 2
     return budget

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter, oaconvolve
 
-#: taps up to which a filter is run row by row
-_DIRECT = 64
+from puma_sim_core.identify.settings import NOISE
 
 
 @dataclass(frozen=True)
@@ -35,7 +34,7 @@ class Weighting:
 
     @staticmethod
     def _filtered(taps, values):
-        if len(taps) <= _DIRECT:
+        if len(taps) <= NOISE.whitening_direct:
             return lfilter(taps, [1.0], values, axis=0)
         taps = taps.reshape(-1, *[1] * (values.ndim - 1))
         return oaconvolve(values, taps, axes=0)[: len(values)]

@@ -20,9 +20,7 @@ from scipy.linalg import cho_factor, cho_solve
 from puma_sim_core.effects.screening import TORQUE_COLUMN, Candidate, Signals
 from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
 from puma_sim_core.identify.screening.evidence import Entry, log_gain, scored_of
-
-#: length of a block [s]
-_BLOCK = 6e-3
+from puma_sim_core.identify.settings import SCREENING
 
 
 class CausalScreen:
@@ -37,7 +35,7 @@ class CausalScreen:
         self.predictor = fit.predictor
         self.point = point
         self.problem = problem
-        self.block = max(1, int(_BLOCK / self.predictor.step))
+        self.block = max(1, int(SCREENING.causal_block / self.predictor.step))
         self.errors = errors
         self._spectra: dict = {}
         rows = fit.rows

@@ -31,6 +31,7 @@ from puma_sim_core.dynamics.types import Constants
 from puma_sim_core.effects.base import SENSING, Effect, Point
 from puma_sim_core.effects.screening import Signals
 from puma_sim_core.effects.shared.columns import stretches, torque_volts
+from puma_sim_core.identify.settings import SCREENING
 from puma_sim_core.jit import BACKEND, compiled, interpreted
 from puma_sim_core.plant.mechanism import Mechanism
 from puma_sim_core.plant.plant import Plant
@@ -38,8 +39,6 @@ from puma_sim_core.simulation.delay import delay_of
 from puma_sim_core.simulation.run_inputs import native
 
 _share, _bound = (combined(point, interpreted) for point in (Point.SUPPLY_SHARE, Point.CURRENT_BOUND))
-#: share of its limit from which a current counts as held by it
-_HELD = 0.98
 
 
 class _Motion(NamedTuple):
@@ -155,7 +154,7 @@ def known_voltage(mechanism: Mechanism, theta, signals: Signals) -> np.ndarray:
     limit = np.array([_bound(j, p) for j in range(hidden, 3)])
     model = _model(signals)
     remainder = signals.voltage - model - total
-    held = (np.abs(current) >= _HELD * limit) & (remainder * current > 0.0)
+    held = (np.abs(current) >= SCREENING.known_held * limit) & (remainder * current > 0.0)
     return np.where(held, signals.voltage - model, total) * signals.enable
 
 

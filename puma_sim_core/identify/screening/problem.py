@@ -18,19 +18,7 @@ from puma_sim_core.effects.screening import TORQUE_COLUMN, Candidate, Signals
 from puma_sim_core.identify.data import filters
 from puma_sim_core.identify.data.sampling import Sampled
 from puma_sim_core.identify.screening.known_effects import known_voltage
-
-#: a joint rests where its speed stays below this many standard deviations of its noise, or below
-#: this share of its greatest speed, for as long as this [s]
-_REST_NOISE, _REST_SHARE, _REST_TIME = 4.0, 2e-3, 0.12
-#: share of the record that is kept back, and the length of a block of it [s]
-HELD_SHARE, _HELD_BLOCK = 0.25, 0.8
-#: where in its period a block lies, the usual place first; power of the residual there, over that
-#: of the other rows, from which on another place is looked for
-_PLACES, _UNLIKE = (0.5, 0.2, 0.8, 0.35, 0.65), 2.0
-#: share of a ratio of squared peaks that counts as one of powers
-_PEAK = 0.5
-#: rows around a kept-back block that count for neither, in time constants of the second filter
-_GUARD = 2.0
+from puma_sim_core.identify.settings import SCREENING
 
 
 @dataclass(frozen=True)
@@ -51,7 +39,12 @@ class Problem:
     """
 
     def __init__(
-        self, sampled: Sampled, mechanism, held_segments=(), hold_back: bool = True, place: float = _PLACES[0]
+        self,
+        sampled: Sampled,
+        mechanism,
+        held_segments=(),
+        hold_back: bool = True,
+        place: float = SCREENING.residual_places[0],
     ):
         self.sampled = sampled
         self.place = place
@@ -87,9 +80,9 @@ class Problem:
 
         What happened once, such as a blow, cannot be found where it happened in rows kept back.
         """
-        if not self.hold_back or self._unlike(residual) < _UNLIKE:
+        if not self.hold_back or self._unlike(residual) < SCREENING.residual_unlike:
             return self
-        tried = [Problem(self.sampled, self.mechanism, (), True, place) for place in _PLACES]
+        tried = [Problem(self.sampled, self.mechanism, (), True, place) for place in SCREENING.residual_places]
         return min(tried, key=lambda problem: problem._unlike(residual))
 
     def _unlike(self, residual) -> float:
@@ -102,16 +95,18 @@ class Problem:
             if len(kept) and len(fit):
                 ratios += [
                     float(share * size(kept**2) / max(size(fit**2), 1e-30))
-                    for share, size in ((1.0, np.mean), (_PEAK, np.max))
+                    for share, size in ((1.0, np.mean), (SCREENING.residual_peak, np.max))
                 ]
         return max(ratios)
 
     def _resting(self) -> np.ndarray:
         s = self.sampled
         speed = np.abs(s.velocity)
-        limit = np.maximum(_REST_NOISE * s.velocity_noise, _REST_SHARE * speed.max(axis=0))
+        limit = np.maximum(
+            SCREENING.residual_rest_noise * s.velocity_noise, SCREENING.residual_rest_share * speed.max(axis=0)
+        )
         slow = speed < limit
-        need = max(1, int(_REST_TIME / s.step))
+        need = max(1, int(SCREENING.residual_rest_time / s.step))
         reach = int(0.5 / (s.cutoffs[1] * s.step))
         resting = np.zeros(slow.shape, dtype=bool)
         for rows in s.stretches:
@@ -140,7 +135,7 @@ class Problem:
         s = self.sampled
         held = np.isin(self.segment, list(held_segments))
         if self.hold_back:
-            period = _HELD_BLOCK / HELD_SHARE
+            period = SCREENING.residual_held_block / SCREENING.residual_held_share
             for rows in self.stretches:
                 time = s.time[self.kept[rows]]
                 length = time[-1] - time[0]
@@ -148,9 +143,9 @@ class Problem:
                 phase = (time - time[0]) / max(length, 1e-9) * blocks
                 away = np.abs(np.mod(phase, 1.0) - self.place)
                 # a place at the end of its period goes on at the start of the next
-                held[rows] = np.minimum(away, 1.0 - away) < 0.5 * HELD_SHARE
+                held[rows] = np.minimum(away, 1.0 - away) < 0.5 * SCREENING.residual_held_share
         guard = np.zeros(len(held), dtype=bool)
-        reach = int(np.ceil(_GUARD / (s.cutoffs[1] * s.step * s.every)))
+        reach = int(np.ceil(SCREENING.residual_guard / (s.cutoffs[1] * s.step * s.every)))
         for rows in self.stretches:
             for row in np.flatnonzero(np.diff(held[rows].astype(int))):
                 first = rows.start + row + 1

@@ -17,8 +17,7 @@ import numpy as np
 from puma_sim_core.identify.noise import noise
 from puma_sim_core.identify.screening.evidence import Bank, Base, Scored, screen
 from puma_sim_core.identify.screening.problem import Linear, Problem
-
-_RETUNINGS = 3
+from puma_sim_core.identify.settings import SCREENING
 
 
 @dataclass(frozen=True)
@@ -169,7 +168,7 @@ class Search:
     def retune(self, theta, chosen=()) -> Fit:
         """Parameters by maximum a posteriori: linearised again until they stay."""
         fit = None
-        for _ in range(_RETUNINGS):
+        for _ in range(SCREENING.search_retunings):
             linear = self.problem.linear(theta)
             fit = self.settle(linear, chosen, None if fit is None else fit.weights, 2 if fit is None else 1)
             step = np.abs(fit.theta - theta) / self.problem.mechanism.deviations

@@ -15,14 +15,7 @@ from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.screening.causal import CausalScreen
 from puma_sim_core.identify.screening.evidence import Scored
 from puma_sim_core.identify.screening.search import Search
-
-#: hypotheses of a short list, slow and fast, and their least gain in the screening
-_SLOW, _FAST, _LEAST_SCREENED = 8, 4, 2.0
-#: share of the best gain in the screening from which on the kinds that contain one are tried, too
-_FAMILY = 0.3
-#: a joint is far noisier than the others from so many times the median of their noise on; the
-#: price [nat] of a coefficient of what is tried there unasked
-_NOISY, _UNSEEN_PRICE = 2.0, 4.0
+from puma_sim_core.identify.settings import SCREENING
 
 
 class ShortList:
@@ -43,7 +36,11 @@ class ShortList:
         slow, fast = self._slow(keys, point), self._fast(causal, keys)
         # a model of two masses a joint takes some ten times as long
         share = 2 if point.two_mass else 1
-        short = self._completed(_joined(slow[: _SLOW // share], fast[: _FAST // share]), causal, keys)
+        short = self._completed(
+            _joined(slow[: SCREENING.short_list_slow // share], fast[: SCREENING.short_list_fast // share]),
+            causal,
+            keys,
+        )
         return short, sorted(slow + fast, key=lambda s: -s.gain)
 
     def _slow(self, keys, point: Point) -> list[Scored]:
@@ -53,7 +50,7 @@ class ShortList:
         return [
             s
             for s in stage.scores
-            if s.values is not None and s.gain > _LEAST_SCREENED and (s.name, s.joint) not in keys
+            if s.values is not None and s.gain > SCREENING.short_list_least_screened and (s.name, s.joint) not in keys
         ]
 
     def _fast(self, causal: CausalScreen, keys) -> list[Scored]:
@@ -65,7 +62,11 @@ class ShortList:
                 if (name, joint) in keys:
                     continue
                 scored = causal.score(name, joint, kind.screening.candidates(causal.signals, j))
-                if scored is not None and scored.values is not None and scored.gain > _LEAST_SCREENED:
+                if (
+                    scored is not None
+                    and scored.values is not None
+                    and scored.gain > SCREENING.short_list_least_screened
+                ):
                     found.append(scored)
         return sorted(found, key=lambda s: -s.gain)
 
@@ -79,7 +80,7 @@ class ShortList:
         for s in short:
             richer = self.library[s.name]
             names = list(richer.contains) if richer.screening.generous else []
-            if s.gain > _FAMILY * top:
+            if s.gain > SCREENING.short_list_family * top:
                 names += [
                     name
                     for name, kind in self.library.items()
@@ -94,12 +95,22 @@ class ShortList:
                         found.append(scored)
         two = {joint for name, joint in keys if self.library[name].two_masses}
         volts = self.predictor.volts
-        for j in np.flatnonzero(volts > _NOISY * np.median(volts)):
+        for j in np.flatnonzero(volts > SCREENING.short_list_noisy * np.median(volts)):
             for name, kind in self.library.items():
                 values = dict(kind.screening.unseen)
                 if values and j + 1 not in two and (name, j + 1) not in taken:
                     found.append(
-                        Scored(name, int(j) + 1, 0.0, 0.0, None, None, None, values, price=_UNSEEN_PRICE * len(values))
+                        Scored(
+                            name,
+                            int(j) + 1,
+                            0.0,
+                            0.0,
+                            None,
+                            None,
+                            None,
+                            values,
+                            price=SCREENING.short_list_unseen_price * len(values),
+                        )
                     )
         return found
 

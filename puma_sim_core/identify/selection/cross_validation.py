@@ -22,13 +22,13 @@ from puma_sim_core.identify.fitting.predictor import Predictor, RowChoice
 from puma_sim_core.identify.noise.weighting import Weighting
 from puma_sim_core.identify.parallel import parallel_map
 from puma_sim_core.identify.result import Errors, StageErrors
-from puma_sim_core.identify.screening.problem import HELD_SHARE, Problem
+from puma_sim_core.identify.screening.problem import Problem
 from puma_sim_core.identify.selection.validate import NoisePair, Validation, position_floor, rms
-from puma_sim_core.identify.settings import SELECTION
+from puma_sim_core.identify.settings import SCREENING, SELECTION
 from puma_sim_core.plant.plant import Plant
 
 #: folds of a log
-FOLDS = round(1.0 / HELD_SHARE)
+FOLDS = round(1.0 / SCREENING.residual_held_share)
 #: for each log of a problem which of its rows are of the validation set
 RowChoices = Callable[[Problem], Sequence[RowChoice]]
 
