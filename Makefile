@@ -52,6 +52,7 @@ help:
 	@echo "make docs        build the documentation site in build/docs; warnings are errors"
 	@echo "make score       explain fresh blind records, print how often that is right (an hour)"
 	@echo "make bench       speed beside other simulators (in its own environment, $(BENCH_VENV))"
+	@echo "make bench AGAINST=v1  speed beside another revision of this project, in one run"
 	@echo "make colcon      build with colcon, run the installed node with an external controller"
 	@echo "make js-readers  install the JavaScript bag readers that make test then uses (needs npm)"
 	@echo "make clean       remove what was built; make distclean: the environments as well"
@@ -106,10 +107,10 @@ PIP_INSTALL = $(BIN)/python -m pip install -q --only-binary numba,llvmlite \
 $(INSTALLED): $(VENV)/.created setup.py pyproject.toml
 	@echo "Installing into $(VENV) (a few minutes, about 1 GB, the first time)"
 	@echo "$(if $(NUMPY),numpy==$(NUMPY).*)" > $(VENV)/constraints.txt
-	@if ! $(PIP_INSTALL) -e '.[fast,ros,plot,test]' > $(VENV)/install.log 2>&1; then \
+	@if ! $(PIP_INSTALL) -e '.[fast,ros,test]' > $(VENV)/install.log 2>&1; then \
 	    echo "numba cannot be installed here (see $(VENV)/install.log); trying without: the model then"; \
 	    echo "runs as plain Python, slower and with the same equations."; \
-	    $(PIP_INSTALL) -e '.[ros,plot,test]' > $(VENV)/install-plain.log 2>&1 || { \
+	    $(PIP_INSTALL) -e '.[ros,test]' > $(VENV)/install-plain.log 2>&1 || { \
 	        cat $(VENV)/install-plain.log; \
 	        echo "make: the installation failed. If the ros- packages were not found: their wheels are for"; \
 	        echo "      Linux on x86-64; elsewhere use a ROS 2 Jazzy installation and colcon (README)."; \
@@ -118,10 +119,10 @@ $(INSTALLED): $(VENV)/.created setup.py pyproject.toml
 	@touch $@
 
 run: $(INSTALLED)
-	@$(BIN)/python -m puma_sim_ros.demo --out build/demo
+	@$(BIN)/python examples/sessions/line.py --out build/demo
 
 loop: $(INSTALLED)
-	@$(BIN)/python -m puma_sim_ros.loop_demo --out build/loop $(LOOP_ARGS)
+	@$(BIN)/python examples/sessions/loop.py --out build/loop $(LOOP_ARGS)
 
 # The kernel is compiled before the tests, so that no test waits for it.
 $(VENV)/.compiled: $(INSTALLED)
@@ -199,7 +200,7 @@ $(BENCH_VENV)/.installed: $(BENCH_VENV)/.created setup.py pyproject.toml
 	@touch $@
 
 bench: $(BENCH_VENV)/.installed
-	@$(BENCH_VENV)/bin/python -m benchmarks
+	@$(BENCH_VENV)/bin/python $(if $(AGAINST),benchmarks/against.py $(AGAINST),-m benchmarks)
 
 $(VENV)/.colcon: $(INSTALLED)
 	@$(BIN)/python -m pip install -q colcon-common-extensions colcon-ros catkin-pkg \

@@ -55,8 +55,9 @@ setup(
     packages=[*find_packages(include=["puma_sim_core*", "puma_sim_ros*"]), "puma_sim_core.config"],
     package_dir={"puma_sim_core.config": "config"},
     package_data={
-        "puma_sim_core": ["py.typed"],
-        "puma_sim_ros": ["py.typed"],
+        # texts and tables of the thesis, sentences about effects, templates of the pages
+        "puma_sim_core": ["py.typed", "**/*.yaml", "**/*.html", "**/*.css", "*.pyi"],
+        "puma_sim_ros": ["py.typed", "*.yaml"],
         "puma_sim_core.config": [path.relative_to(ROOT / "config").as_posix() for path in CONFIG_FILES],
     },
     data_files=[
@@ -65,12 +66,20 @@ setup(
         *_share_files(),
     ],
     zip_safe=False,
-    install_requires=["numpy>=1.26", "scipy", "PyYAML", "mcap>=1.5", "rosbags>=0.11"],
+    install_requires=[
+        "numpy>=1.26",
+        "scipy",
+        "PyYAML",
+        "mcap>=1.5",
+        "rosbags>=0.11",
+        "jinja2>=3.1",
+        "matplotlib>=3.6",
+        "rich>=12",
+    ],
     extras_require={
         "fast": ["numba"],
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
-        "plot": ["matplotlib"],
-        "lint": ["ruff>=0.17", "mypy>=2.4", "import-linter>=2.16", "codespell>=2.4"],
+        "lint": ["ruff>=0.17", "mypy>=2.4", "import-linter>=2.16", "codespell>=2.4", "pre-commit"],
         "docs": ["sphinx>=7", "myst-parser"],
         "test": [
             "pytest",
@@ -79,7 +88,6 @@ setup(
             "pytest-cov",
             "hypothesis",
             "jsonschema",
-            "matplotlib",
             "mcap-ros2-support",
             "mujoco>=3.7",
             "catkin-pkg",

@@ -21,8 +21,9 @@ from puma_sim_core.dynamics.types import FREE, STILL, Model, Rows, State
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.jit import BACKEND, compiled
 from puma_sim_core.plant.plant import Plant
-from puma_sim_core.simulation.batch import run_batch
-from puma_sim_core.simulation.simulator import Simulator, native
+from puma_sim_core.simulation.batch import InitialState, run_batch
+from puma_sim_core.simulation.run_inputs import native
+from puma_sim_core.simulation.simulator import Simulator
 
 COMPILED = "puma_sim, Simulator.run, compiled"
 PLAIN = "puma_sim, Simulator.run, plain Python"
@@ -109,19 +110,10 @@ def batch(task: Task, workers: int, runs: int | None = None, held: int = 1):
     ]
     time = (STEP * np.arange(task.steps + 1))[::held]
     voltages = np.vstack([task.voltages, task.voltages[-1:]])[::held]
-    position, velocity, current = task.state.reshape(3, 3)
+    start = InitialState(*task.state.reshape(3, 3))
 
     def run():
-        return run_batch(
-            plants,
-            time,
-            voltages,
-            position=position,
-            velocity=velocity,
-            current=current,
-            max_step=STEP,
-            workers=workers,
-        ).position[0, -1]
+        return run_batch(plants, time, voltages, start, max_step=STEP, workers=workers).position[0, -1]
 
     return run
 

@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
 import yaml
 
@@ -18,15 +18,13 @@ from puma_sim_core.errors import ParameterError, PumaSimError
 
 
 @contextmanager
-def whole_file(path: str | os.PathLike, error: type[PumaSimError]) -> Iterator[TextIO]:
+def whole_file(path: str | os.PathLike[str], error: type[PumaSimError]) -> Iterator[TextIO]:
     """A text file to write; it takes the place of `path` when the block ends without an error.
 
     Where `path` is a link, the file that it leads to is replaced; a device or a pipe, which
     nothing may take the place of, is written to.
 
-    Raises
-    ------
-    error : the folder is missing or cannot be written, or the disk is full; names the path.
+    Raises error: the folder is missing or cannot be written, or the disk is full; names the path.
     """
     given, path = path, Path(os.path.realpath(path))
     try:
@@ -49,22 +47,19 @@ def whole_file(path: str | os.PathLike, error: type[PumaSimError]) -> Iterator[T
     except BrokenPipeError:
         raise
     except OSError as reason:
-        raise error(
-            f"cannot be written ({reason.strerror})",
-            where=str(given),
-            expected="a path in a folder that can be written",
-        ) from None
+        what, expected = f"cannot be written ({reason.strerror})", "a path in a folder that can be written"
+        raise error(what, where=str(given), expected=expected) from None
 
 
-def is_special(path: str | os.PathLike) -> bool:
+def is_special(path: str | os.PathLike[str]) -> bool:
     """Whether a path is there and is neither a file nor a folder: a device, a pipe."""
     return os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path)
 
 
-class _StrictLoader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):
+class _StrictLoader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
     """Safe loader that refuses repeated keys and reads 2e-4 as the number that YAML 1.2 has."""
 
-    def construct_mapping(self, node, deep=False):
+    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
         seen = set()
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=True)
@@ -79,12 +74,10 @@ _StrictLoader.add_implicit_resolver(
 )
 
 
-def parse_yaml(text: str, where: str, error: type[PumaSimError] = ParameterError):
+def parse_yaml(text: str, where: str, error: type[PumaSimError] = ParameterError) -> Any:
     """Content of a YAML text; `where` names it in errors.
 
-    Raises
-    ------
-    error : not YAML, or a key twice; names the line.
+    Raises error: not YAML, or a key twice; names the line.
     """
     try:
         return yaml.load(text, Loader=_StrictLoader)
@@ -92,17 +85,14 @@ def parse_yaml(text: str, where: str, error: type[PumaSimError] = ParameterError
         mark = getattr(reason, "problem_mark", None)
         line = "" if mark is None else f", line {mark.line + 1}"
         what = getattr(reason, "problem", None) or str(reason)
-        raise error(
-            f"not usable as YAML ({what})", where=f"{where}{line}", expected="YAML with each key once"
-        ) from None
+        what = f"not usable as YAML ({what})"
+        raise error(what, where=f"{where}{line}", expected="YAML with each key once") from None
 
 
-def read_yaml(path: str | os.PathLike, error: type[PumaSimError] = ParameterError):
+def read_yaml(path: str | os.PathLike[str], error: type[PumaSimError] = ParameterError) -> Any:
     """Content of a YAML file.
 
-    Raises
-    ------
-    error : the file cannot be read, is not YAML, or has a key twice; names the line.
+    Raises error: the file cannot be read, is not YAML, or has a key twice; names the line.
     """
     try:
         text = Path(path).read_text(encoding="utf-8")
@@ -111,12 +101,14 @@ def read_yaml(path: str | os.PathLike, error: type[PumaSimError] = ParameterErro
     return parse_yaml(text, str(path), error)
 
 
-def yaml_text(mapping: Mapping) -> str:
+def yaml_text(mapping: Mapping[str, Any]) -> str:
     """YAML of a mapping of plain types, keys in their order; the same mapping, the same bytes."""
     return yaml.safe_dump(dict(mapping), sort_keys=False, allow_unicode=True, width=100)
 
 
-def write_yaml(mapping: Mapping, path: str | os.PathLike, error: type[PumaSimError] = ParameterError) -> None:
+def write_yaml(
+    mapping: Mapping[str, Any], path: str | os.PathLike[str], error: type[PumaSimError] = ParameterError
+) -> None:
     """Write a mapping of plain types; raises `error` as `whole_file` does."""
     with whole_file(path, error) as file:
         file.write(yaml_text(mapping))

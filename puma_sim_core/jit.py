@@ -14,6 +14,7 @@ import hashlib
 import os
 import sys
 from collections.abc import Callable
+from math import inf
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -21,7 +22,7 @@ from puma_sim_core.errors import ParameterError
 
 _PACKAGE = Path(__file__).resolve().parent
 #: folders and files that compiled functions stand in; a change of any of them makes an older cache void
-_SOURCES = ("jit.py", "dynamics", "effects", "simulation/tracking.py", "identify/screening/known_effects.py")
+_SOURCES = ("jit.py", "dynamics", "servo", "effects", "simulation/tracking.py", "identify/screening/known_effects.py")
 
 
 def _choose() -> str:
@@ -54,7 +55,7 @@ def add_source(path: Path) -> None:
     if path not in _FURTHER:
         _FURTHER.append(path)
         # what is decorated from here on may be made of it
-        _CACHE = _cache_directory() if BACKEND == "numba" else None
+        _CACHE = cache_directory() if BACKEND == "numba" else None
 
 
 def _source_digest() -> str:
@@ -74,7 +75,7 @@ def _source_digest() -> str:
     return digest.hexdigest()[:16]
 
 
-def _cache_directory() -> str | None:
+def cache_directory() -> str | None:
     """A writable folder for compiled code, or None: an install without one compiles each time."""
     base = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or "~/.cache"
     try:
@@ -89,8 +90,12 @@ def _cache_directory() -> str | None:
     return str(folder)
 
 
+#: several numbers, and a flat array of them (n,): an array of float64 where it is compiled, a list in plain Python
+Vec = tuple[float, ...]
+Table = Any
+
 BACKEND = _choose()
-_CACHE = _cache_directory() if BACKEND == "numba" else None
+_CACHE = cache_directory() if BACKEND == "numba" else None
 
 #: a function, with the type that it has
 F = TypeVar("F", bound=Callable[..., Any])
@@ -144,3 +149,14 @@ def interpreted(function: F) -> F:
     """The plain Python of a function that is inlined elsewhere, for a caller that is not compiled
     (a call would compile it, for a second)."""
     return cast(F, getattr(function, "py_func", function))
+
+
+def written(
+    name: str, arguments: str, body: list[str], functions: dict[str, Any], jit: Callable[..., Any] = inlined
+) -> Callable[..., Any]:
+    """The inlined function of a body written as lines of source."""
+    source = f"def {name}({arguments}):\n" + "".join(f"    {line}\n" for line in body)
+    scope: dict[str, Any] = {**functions, "inf": inf}
+    exec(compile(source, f"<written: {name}>", "exec"), scope)
+    function: Callable[..., Any] = jit(scope[name])
+    return function

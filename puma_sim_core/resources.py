@@ -14,9 +14,7 @@ _CANDIDATES = (_HERE / "config", _HERE.parent / "config")
 def config_path(*parts: str) -> Path:
     """Path of a file or folder of ``config/``.
 
-    Raises
-    ------
-    FileNotFoundError : when neither place has it.
+    Raises FileNotFoundError: when neither place has it.
     """
     for root in _CANDIDATES:
         path = root.joinpath(*parts)

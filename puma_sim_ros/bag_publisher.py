@@ -33,71 +33,54 @@ def _message_type(name: str, topic: str):
     try:
         return getattr(importlib.import_module(f"{package}.msg"), kind)
     except (ImportError, AttributeError) as error:
-        raise BagError(
-            f"type {name} is not installed", where=f"topic {topic}", expected="a message type of this ROS installation"
-        ) from error
-
-
-def _commands(messages) -> list:
-    """Those of messages that are for a simulator."""
-    return [message for message in messages if message.topic.endswith(_COMMANDS)]
-
-
-def _simulator_runs(node, topics) -> bool:
-    """Whether someone else publishes the states, too."""
-    return any(node.count_publishers(topic) > 1 for topic in topics if topic.endswith("/joint_states"))
+        what, expected = f"type {name} is not installed", "a message type of this ROS installation"
+        raise BagError(what, where=f"topic {topic}", expected=expected) from error
 
 
 def publish_bag(path: str | Path, *, rate: float = 1.0, commands_only: bool | None = None) -> int:
-    """Publish the messages of a bag at their times; returns how many.
+    """Publish the messages of a closed bag at their times; returns how many.
 
     Parameters
     ----------
-    path : a closed bag, the directory or the MCAP file.
-    rate : simulated seconds for each second of the wall clock, above zero.
+    rate : simulated seconds for each second of the wall clock.
     commands_only : leave out what a simulator publishes. By default that is done where a
         simulator is there, publishing ``joint_states``: two of them would mix on one topic.
 
-    Raises
-    ------
-    BagError : no bag of which all can be read; nothing is published then.
+    Raises BagError where not all can be read; nothing is published then.
     """
     if not 0.0 < rate < float("inf"):
         raise BagError(f"rate {rate}", where=path, expected="a finite number above 0")
     recorded = list(iterate_messages(path))
+    commands = [message for message in recorded if message.topic.endswith(_COMMANDS)]
     if commands_only:
-        recorded = _commands(recorded)
+        recorded = commands
     # without handlers of rclpy's: an interruption ends a wait here, not ROS under our feet
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("bag_publisher")
     try:
         publishers = {}
-        for message in recorded:
-            topic = message.topic
-            if topic not in publishers:
-                latched = topic.endswith(_LATCHED)
-                publishers[topic] = node.create_publisher(
-                    _message_type(message.type, topic), topic, qos(10, latched=latched)
-                )
+        for topic, kind in {message.topic: message.type for message in recorded}.items():
+            profile = qos(10, latched=topic.endswith(_LATCHED))
+            publishers[topic] = node.create_publisher(_message_type(kind, topic), topic, profile)
 
-        def awaited() -> bool:
-            # a viewer is found sooner than a simulator may be, whom it must not be mixed with
-            if commands_only is None:
-                return _simulator_runs(node, publishers)
+        def simulator_runs() -> bool:
+            return any(node.count_publishers(topic) > 1 for topic in publishers if topic.endswith("/joint_states"))
+
+        def heard() -> bool:
             return any(publisher.get_subscription_count() for publisher in publishers.values())
 
+        # a viewer is found sooner than a simulator may be, whom it must not be mixed with
+        awaited = simulator_runs if commands_only is None else heard
         end = time.monotonic() + _LONGEST
         while time.monotonic() < end and not awaited():
             time.sleep(0.02)
         time.sleep(_OTHERS)
-        if commands_only is None and _simulator_runs(node, publishers):
+        if commands_only is None and simulator_runs():
             node.get_logger().info("a simulator is running: only the commands are published")
-            recorded = _commands(recorded)
+            recorded = commands
         start = time.monotonic()
         for message in recorded:
-            delay = start + message.time_ns * 1e-9 / rate - time.monotonic()
-            if delay > 0.0:
-                time.sleep(delay)
+            time.sleep(max(0.0, start + message.time_ns * 1e-9 / rate - time.monotonic()))
             # bytes go out as they are: what is received is what was recorded
             publishers[message.topic].publish(message.data)
         for publisher in publishers.values():
@@ -113,9 +96,8 @@ def main(args: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("bag", type=Path)
     parser.add_argument("--rate", type=float, default=1.0, help="simulated seconds for each second of the wall clock")
-    parser.add_argument(
-        "--commands-only", action="store_true", default=None, help="leave out what a simulator publishes"
-    )
+    help_text = "leave out what a simulator publishes"
+    parser.add_argument("--commands-only", action="store_true", default=None, help=help_text)
     options = parser.parse_args(args)
     try:
         count = publish_bag(options.bag, rate=options.rate, commands_only=options.commands_only)

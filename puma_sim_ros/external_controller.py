@@ -2,7 +2,7 @@
 # Copyright the puma-sim contributors
 """An example of a controller outside the simulator: control in volts, over topics.
 
-It leads the wrist down a straight vertical line, as in section 7.5 of the thesis: setpoints each
+It leads the wrist down a straight vertical line, as in section 7.5 of the thesis: setpoints every
 28 ms, volts back to the simulator, by PID, scheduled PID or computed torque: the same objects
 that the simulator has inside. Each state that arrives is answered by one command, so the same
 program works in realtime and in lockstep. To try another law, copy this file and give
@@ -14,6 +14,7 @@ from __future__ import annotations
 import sys
 import time
 from array import array
+from collections.abc import Callable
 
 import numpy as np
 import rclpy
@@ -64,17 +65,14 @@ class ExternalController(Node):
         self.settings = self.controller_settings()
         self.spinner = SingleThreadedExecutor()
         self.spinner.add_node(self)
-        self.controller = None
-        self.setpoints = None
-        self.rows = []
-        self.done = False
+        self.controller = self.setpoints = None
+        self.rows, self.done = [], False
         self.answered_ns, self.answered_at = -1, 0.0
         self.heard_at = time.monotonic()
         self.command = Float64MultiArray()
         self.publisher = self.create_publisher(Float64MultiArray, "voltage_controller/commands", qos(10))
         self.create_subscription(JointState, "joint_states", self.on_state, qos(10))
-        # made last: when the simulator answers it, it has found the two topics before, and no
-        # command is lost
+        # made last: a simulator that answers it has found the two topics before, and no command is lost
         self.simulator = AsyncParameterClient(self, self.p["simulator"])
 
     def controller_settings(self) -> dict:
@@ -86,9 +84,8 @@ class ExternalController(Node):
             return load_settings(kind, "external", path or None)
         columns = {name: list(self.p[name]) for name in ("gain", "integral_time", "derivative_time")}
         if any(len(column) != 3 for column in columns.values()):
-            raise ControllerError(
-                f"gains {list(columns.values())}", expected="three numbers of each, one for each joint"
-            )
+            expected = "three numbers of each, one for each joint"
+            raise ControllerError(f"gains {list(columns.values())}", expected=expected)
         return {**columns, "derivative_on_measurement": False}
 
     def connect(self) -> None:
@@ -149,12 +146,7 @@ class ExternalController(Node):
         return volts
 
     def wait_until(self, condition, repeat=lambda: None) -> None:
-        """Spin until `condition()` holds, calling `repeat()` each 2 s.
-
-        Raises
-        ------
-        ControllerError : nothing was heard for too long.
-        """
+        """Spin until `condition()` holds, calling `repeat()` every 2 s; raises ControllerError after a long silence."""
         self.heard_at = repeated_at = time.monotonic()
         while not condition():
             self.spinner.spin_once(timeout_sec=0.1)
@@ -163,18 +155,13 @@ class ExternalController(Node):
                 repeat()
                 repeated_at = now
             if now - self.heard_at > self.p["timeout"]:
-                raise ControllerError(
-                    f"no answer for {self.p['timeout']:g} s",
-                    where=self.p["simulator"],
-                    expected="a sim_node of that name in this namespace and ROS_DOMAIN_ID",
-                )
+                what = f"no answer for {self.p['timeout']:g} s"
+                expected = "a sim_node of that name in this namespace and ROS_DOMAIN_ID"
+                raise ControllerError(what, where=self.p["simulator"], expected=expected)
 
     def answer(self, call, argument):
-        """The result of a service call.
-
-        It is asked again while no answer comes: a service drops its answer when it has not yet
-        discovered who asks.
-        """
+        """The result of a service call, which is repeated while no answer comes: a service drops its
+        answer when it has not yet discovered who asks."""
         futures = [call(argument)]
         self.wait_until(lambda: any(future.done() for future in futures), lambda: futures.append(call(argument)))
         return next(future.result() for future in futures if future.done())
@@ -199,25 +186,34 @@ def report(recording: Recording, period: float) -> str:
     return "\n".join([*lines, f"states answered: {len(recording)}, missed: {missed}"])
 
 
-def main(args=None) -> int:
-    """Entry point of ``external_controller``; returns the exit status."""
+def run_to_its_end(name: str, make: Callable[[], ExternalController], finish: Callable[..., None], args=None) -> int:
+    """Make a controller's node, connect it, wait until it is done, and finish; returns the exit status."""
     rclpy.init(args=args)
     try:
-        node = ExternalController()
+        node = make()
         node.connect()
         node.wait_until(lambda: node.done)
-        recording = node.recording()
-        if node.p["log_path"]:
-            write_csv(recording, node.p["log_path"])
-        print(report(recording, node.period), flush=True)
+        finish(node)
         return 0
     except (PumaSimError, ParameterException) as error:
-        print(f"external_controller: {error}", file=sys.stderr)
+        print(f"{name}: {error}", file=sys.stderr)
     except (KeyboardInterrupt, ExternalShutdownException):
-        print("external_controller: interrupted", file=sys.stderr)
+        print(f"{name}: interrupted", file=sys.stderr)
     finally:
         rclpy.try_shutdown()
     return 1
+
+
+def _finish(node: ExternalController) -> None:
+    recording = node.recording()
+    if node.p["log_path"]:
+        write_csv(recording, node.p["log_path"])
+    print(report(recording, node.period), flush=True)
+
+
+def main(args=None) -> int:
+    """Entry point of ``external_controller``; returns the exit status."""
+    return run_to_its_end("external_controller", ExternalController, _finish, args)
 
 
 if __name__ == "__main__":

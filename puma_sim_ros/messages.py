@@ -1,11 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""Between the session's tuples and ROS messages.
-
-The messages that go out at each step are made once and filled again: rclpy serialises a message
-while it publishes it, so nobody else sees the object. `array('d')` fields are what its fast path
-takes.
-"""
+"""Between the session's tuples and ROS messages."""
 
 from __future__ import annotations
 
@@ -13,10 +8,13 @@ from array import array
 from collections.abc import Mapping, Sequence
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64MultiArray, Header
+
+from puma_sim_core.simulation.session import SessionState
 
 
 def qos(depth: int, *, latched: bool = False) -> QoSProfile:
@@ -25,55 +23,44 @@ def qos(depth: int, *, latched: bool = False) -> QoSProfile:
     return QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE, durability=durability)
 
 
-def set_stamp(stamp, time_ns: int) -> None:
-    """Write a time [ns] into a builtin_interfaces/Time."""
-    stamp.sec, stamp.nanosec = divmod(time_ns, 1_000_000_000)
-
-
 def stamp_ns(stamp) -> int:
     """Time [ns] of a builtin_interfaces/Time."""
     return stamp.sec * 1_000_000_000 + stamp.nanosec
 
 
-class StateMessages:
-    """The messages of one state, for joints of the given names."""
+class StatePublishers:
+    """Publishes the states of a node's session.
 
-    def __init__(self, joint_names: Sequence[str], frame_id: str) -> None:
-        self._joints = JointState(name=list(joint_names))
-        self._joints.header.frame_id = frame_id
-        self._currents = Float64MultiArray()
-        self._voltages = Float64MultiArray()
-        self._clock = Clock()
+    The messages are made once and filled again: rclpy serialises a message while it publishes it,
+    so nobody else sees the object. `array('d')` fields are what its fast path takes.
+    """
 
-    def joint_state(self, state) -> JointState:
-        """Positions [rad], velocities [rad/s], efforts at the joints [N.m], simulated time."""
-        message = self._joints
-        set_stamp(message.header.stamp, state.time_ns)
-        message.position = array("d", state.position)
-        message.velocity = array("d", state.velocity)
-        message.effort = array("d", state.effort)
-        return message
+    def __init__(self, node: Node, joint_names: Sequence[str], frame_id: str, clock: bool) -> None:
+        self._joints = JointState(name=list(joint_names), header=Header(frame_id=frame_id))
+        self._array, self._clock = Float64MultiArray(), Clock()
+        self._joint_publisher = node.create_publisher(JointState, "joint_states", qos(10))
+        self._current_publisher = node.create_publisher(Float64MultiArray, "motor_currents", qos(10))
+        self._voltage_publisher = node.create_publisher(Float64MultiArray, "motor_voltages", qos(10))
+        self._clock_publisher = node.create_publisher(Clock, "/clock", qos(10)) if clock else None
 
-    def currents(self, state) -> Float64MultiArray:
-        """Motor currents [A]."""
-        self._currents.data = array("d", state.current)
-        return self._currents
-
-    def voltages(self, state) -> Float64MultiArray:
-        """Voltages applied during the step that led to the state [V]."""
-        self._voltages.data = array("d", state.voltage)
-        return self._voltages
-
-    def clock(self, state) -> Clock:
-        """Simulated time."""
-        set_stamp(self._clock.clock, state.time_ns)
-        return self._clock
+    def publish(self, state: SessionState) -> None:
+        """Publish a state; joint_states last: who reacts to it has had the rest."""
+        sec, nanosec = divmod(state.time_ns, 1_000_000_000)
+        if self._clock_publisher is not None:
+            self._clock.clock.sec, self._clock.clock.nanosec = sec, nanosec
+            self._clock_publisher.publish(self._clock)
+        for publisher, values in ((self._current_publisher, state.current), (self._voltage_publisher, state.voltage)):
+            self._array.data = array("d", values)
+            publisher.publish(self._array)
+        joints = self._joints
+        joints.header.stamp.sec, joints.header.stamp.nanosec = sec, nanosec
+        for name in ("position", "velocity", "effort"):
+            setattr(joints, name, array("d", getattr(state, name)))
+        self._joint_publisher.publish(joints)
 
 
 def diagnostics(now, name: str, level: bytes, message: str, values: Mapping[str, object]) -> DiagnosticArray:
     """A DiagnosticArray with one status; `now` is the stamp, a builtin_interfaces/Time."""
     status = DiagnosticStatus(level=level, name=name, message=message, hardware_id="puma560")
     status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
-    array_message = DiagnosticArray(status=[status])
-    array_message.header.stamp = now
-    return array_message
+    return DiagnosticArray(header=Header(stamp=now), status=[status])

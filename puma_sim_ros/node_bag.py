@@ -12,13 +12,8 @@ from puma_sim_core.simulation.session import SessionConfig, SessionState
 
 
 class NodeBag:
-    """Writes what the node does to bags, or nothing when there is no path.
-
-    Parameters
-    ----------
-    path : of the first bag; the later ones get _1, _2 and so on behind its name.
-    namespace : of the node.
-    """
+    """Writes what the node does to bags, or nothing when there is no path; later bags get _1, _2 and so
+    on behind the name of the first."""
 
     def __init__(self, path: str, namespace: str) -> None:
         self._first = Path(path) if path else None
@@ -33,34 +28,21 @@ class NodeBag:
     def start(self, config: SessionConfig, model: str, urdf: str, state: SessionState):
         """Begin a bag at a session's first state; returns the former recorder, still open.
 
-        Raises
-        ------
-        BagError : the bag cannot be made; the former one is still in use then.
+        Raises BagError if the bag cannot be made; the former one is still in use then.
         """
         if self._first is None:
             return None
         try:
             from puma_sim_core.recording.bag import BagRecorder
         except ImportError as error:
-            raise BagError(
-                f"{error.name} is not installed",
-                where="parameter 'bag_path'",
-                expected="the Python packages mcap and rosbags",
-            ) from error
+            what, expected = f"{error.name} is not installed", "the Python packages mcap and rosbags"
+            raise BagError(what, where="parameter 'bag_path'", expected=expected) from error
         path = self._first
         if self._recorder is not None:
             numbered = (path.with_name(f"{path.name}_{n}") for n in itertools.count(1))
             path = next(candidate for candidate in numbered if not candidate.exists())
-        recorder = BagRecorder(
-            path,
-            namespace=self._namespace,
-            config_text=model,
-            urdf=urdf,
-            joint_names=config.joint_names,
-            frame_id=config.frame_id,
-            command_interface=config.command_interface,
-            period_ns=config.period_ns,
-        )
+        same = {name: getattr(config, name) for name in ("joint_names", "frame_id", "command_interface", "period_ns")}
+        recorder = BagRecorder(path, namespace=self._namespace, config_text=model, urdf=urdf, **same)
         recorder.write_state(state)
         former, self._recorder = self._recorder, recorder
         return former

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from itertools import accumulate
 
 _LEAST_NS = 1000
 _BINS_PER_FACTOR_TWO = 16
@@ -33,8 +34,7 @@ class Lateness:
     def add(self, late_ns: int) -> None:
         """Count one step that began ``late_ns`` [ns] after its deadline (negative counts as 0)."""
         self.count += 1
-        if late_ns > self.worst_ns:
-            self.worst_ns = late_ns
+        self.worst_ns = max(self.worst_ns, late_ns)
         place = 0
         if late_ns > _LEAST_NS:
             place = min(math.ceil(_BINS_PER_FACTOR_TWO * math.log2(late_ns / _LEAST_NS)), _BINS - 1)
@@ -43,12 +43,9 @@ class Lateness:
     def quantile(self, fraction: float) -> float:
         """Lateness [s] that ``fraction`` (0..1) of the steps did not exceed; 0 before any step."""
         wanted = max(1, math.ceil(fraction * self.count))
-        seen = 0
-        for place, count in enumerate(self._counts):
-            seen += count
+        for place, seen in enumerate(accumulate(self._counts)):
             if seen >= wanted:
-                edge_ns = _LEAST_NS * 2.0 ** (place / _BINS_PER_FACTOR_TWO)
-                return min(edge_ns, self.worst_ns) * 1e-9
+                return min(_LEAST_NS * 2.0 ** (place / _BINS_PER_FACTOR_TWO), self.worst_ns) * 1e-9
         return 0.0
 
     @property
@@ -56,35 +53,26 @@ class Lateness:
         """Greatest lateness [s]."""
         return self.worst_ns * 1e-9
 
+    def in_ms(self) -> dict[str, str]:
+        """Median, 99 % quantile and worst, as texts in ms."""
+        values = {"median": self.quantile(0.5), "p99": self.quantile(0.99), "worst": self.worst}
+        return {name: f"{1e3 * value:.3f}" for name, value in values.items()}
+
 
 class Pacer:
-    """The schedule of the steps on a clock.
+    """The schedule of steps of `period_ns` [ns] on a clock [ns] that never goes back.
 
-    Parameters
-    ----------
-    period_ns : simulated length of a step [ns].
-    real_time_factor : simulated seconds for each second of the clock, above zero.
-    clock : gives the time [ns] of a clock that never goes back.
-
-    Attributes
-    ----------
-    steps : steps done.
-    overruns : steps that began when the next one was already due.
-    lateness : `Lateness` of all steps.
-
-    The loop that uses it waits for at most `remaining`, and calls `begin_step` before each step
-    while `due` is true. The k-th deadline is ``start + k * period / real_time_factor``: computed
-    from the start, so that neither rounding nor lateness adds up.
+    The loop that uses it waits for `remaining`, and calls `begin_step` before each step. The k-th
+    deadline is ``start + k * period / real_time_factor``: computed from the start, so that
+    neither rounding nor lateness adds up.
     """
 
     def __init__(
         self, period_ns: int, real_time_factor: float = 1.0, clock: Callable[[], int] = time.monotonic_ns
     ) -> None:
-        self._period_ns = period_ns
-        self._clock = clock
-        self.lateness = Lateness()
-        self.steps = 0
-        self.overruns = 0
+        self._period_ns, self._clock = period_ns, clock
+        self.lateness, self.steps = Lateness(), 0
+        self.overruns = 0  #: steps that began when the next one was already due
         self._set_factor(real_time_factor)
         self.restart()
 
@@ -116,10 +104,6 @@ class Pacer:
         """Time until the next step is due [s]; 0 when it is due or late."""
         return max(0.0, (self._deadline - self._clock()) * 1e-9)
 
-    def due(self) -> bool:
-        """Whether the next step is due now."""
-        return self._clock() >= self._deadline
-
     def begin_step(self) -> None:
         """Count a step that begins now, and set the deadline of the one after it."""
         late_ns = self._clock() - self._deadline
@@ -132,9 +116,5 @@ class Pacer:
 
     def summary(self) -> str:
         """One line for a person."""
-        late = self.lateness
-        return (
-            f"steps {self.steps}, overruns {self.overruns}, lateness "
-            f"median {1e3 * late.quantile(0.5):.3f} ms, "
-            f"p99 {1e3 * late.quantile(0.99):.3f} ms, worst {1e3 * late.worst:.3f} ms"
-        )
+        late = ", ".join(f"{name} {value} ms" for name, value in self.lateness.in_ms().items())
+        return f"steps {self.steps}, overruns {self.overruns}, lateness {late}"

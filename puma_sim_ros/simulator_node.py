@@ -24,7 +24,6 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
-from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
@@ -33,7 +32,7 @@ from puma_sim_core.arm.urdf import arm_urdf
 from puma_sim_core.errors import CommandError, NonFiniteStateError, PumaSimError
 from puma_sim_core.simulation.session import Command, Session, SessionConfig
 from puma_sim_ros import node_parameters
-from puma_sim_ros.messages import StateMessages, diagnostics, qos
+from puma_sim_ros.messages import StatePublishers, diagnostics, qos
 from puma_sim_ros.node_bag import NodeBag
 from puma_sim_ros.pacing import Pacer
 
@@ -49,12 +48,7 @@ _MOST_TAKEN = 32
 
 
 class SimNode(Node):
-    """The node ``sim_node``.
-
-    Raises
-    ------
-    PumaSimError : a parameter cannot be used, or the bag cannot be made; nothing has moved then.
-    """
+    """The node ``sim_node``; raises PumaSimError for a parameter or a bag that cannot be used."""
 
     def __init__(self) -> None:
         super().__init__("sim_node")
@@ -69,10 +63,7 @@ class SimNode(Node):
         self._lockstep = self._values["mode"] == "lockstep"
         self._failed_step: int | None = None
         self._commands: list[Command] = []
-        self._messages = StateMessages(self._config.joint_names, self._config.frame_id)
-
-        self._make_publishers()
-        self._make_subscriptions()
+        self._make_topics()
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/pause", self._on_pause)
         self.create_service(Trigger, "~/step", self._on_step)
@@ -88,28 +79,18 @@ class SimNode(Node):
         self._restart_pacer = False
         self._sent_at = 0.0
 
-    def _make_publishers(self) -> None:
-        self._joint_states = self.create_publisher(JointState, "joint_states", qos(10))
-        self._currents = self.create_publisher(Float64MultiArray, "motor_currents", qos(10))
-        self._voltages = self.create_publisher(Float64MultiArray, "motor_voltages", qos(10))
+    def _make_topics(self) -> None:
+        joints, frame = self._config.joint_names, self._config.frame_id
+        self._states = StatePublishers(self, joints, frame, self._values["publish_clock"])
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos(10))
-        self._clock_publisher = (
-            self.create_publisher(ClockMessage, "/clock", qos(10)) if self._values["publish_clock"] else None
-        )
         self._description = self.create_publisher(String, "robot_description", qos(1, latched=True))
         self._model = self.create_publisher(String, "~/model", qos(1, latched=True))
-
-    def _make_subscriptions(self) -> None:
-        depth = 10 if self._lockstep else 1
-        interface = self._config.command_interface
-        self._command_subscriptions = [
-            self.create_subscription(Float64MultiArray, f"{interface}_controller/commands", self._on_values, qos(depth))
-        ]
+        interface, last = self._config.command_interface, qos(10 if self._lockstep else 1)
+        topics = [(Float64MultiArray, f"{interface}_controller/commands", self._on_values, last)]
         if interface == "position":
             # messages that name different joints add up: none of them may push out another
-            self._command_subscriptions.append(
-                self.create_subscription(JointState, "joint_commands", self._on_joints, qos(10))
-            )
+            topics.append((JointState, "joint_commands", self._on_joints, qos(10)))
+        self._command_subscriptions = [self.create_subscription(*topic) for topic in topics]
 
     # ---- commands
 
@@ -149,19 +130,12 @@ class SimNode(Node):
         return None
 
     def _publish_state(self) -> None:
-        # joint_states last: who reacts to it has had the rest
-        state = self._session.state
-        if self._clock_publisher is not None:
-            self._clock_publisher.publish(self._messages.clock(state))
-        self._currents.publish(self._messages.currents(state))
-        self._voltages.publish(self._messages.voltages(state))
-        self._joint_states.publish(self._messages.joint_state(state))
+        self._states.publish(self._session.state)
         self._sent_at = time.monotonic()
 
     def _publish_model(self) -> None:
-        model, urdf = _texts(self._config)
-        self._model.publish(String(data=model))
-        self._description.publish(String(data=urdf))
+        for publisher, text in zip((self._model, self._description), _texts(self._config)):
+            publisher.publish(String(data=text))
 
     # ---- services and parameters
 
@@ -171,8 +145,7 @@ class SimNode(Node):
             session = Session(config)
             former = self._bag.start(config, *_texts(config), session.state)
         except PumaSimError as error:
-            response.success, response.message = False, str(error)
-            return response
+            return self._answer(response, str(error))
         changed = config != self._config
         if changed:
             _warm_up(config)
@@ -185,20 +158,18 @@ class SimNode(Node):
         self._publish_state()
         if former is not None:
             former.close()
-        response.success, response.message = True, self._where()
-        return response
+        return self._answer(response)
 
     def _on_pause(self, request, response):
         (result,) = self.set_parameters([Parameter("paused", value=request.data)])
-        response.success = result.successful
-        response.message = result.reason or self._where()
-        return response
+        return self._answer(response, None if result.successful else result.reason)
 
     def _on_step(self, _request, response):
         if not self._paused:
-            response.success, response.message = False, "refused: the simulation is not paused"
-            return response
-        error = self._refusal() or self._step()
+            return self._answer(response, "refused: the simulation is not paused")
+        return self._answer(response, self._refusal() or self._step())
+
+    def _answer(self, response, error: str | None = None):
         response.success, response.message = error is None, error or self._where()
         return response
 
@@ -212,15 +183,15 @@ class SimNode(Node):
         return f"step {state.step}, time {state.time_ns / 1e9:.9g} s"
 
     def _check_change(self, changes) -> SetParametersResult:
-        refusal = self._refusal()
-        if refusal and any(change.name == "paused" and not change.value for change in changes):
+        if (refusal := self._refusal()) and any(c.name == "paused" and not c.value for c in changes):
             return SetParametersResult(successful=False, reason=refusal)
         return node_parameters.check_change(changes, self._values, self._plant)
 
     def _on_changed(self, changes) -> None:
         self._values.update(node_parameters.values_of(changes))
-        if self._pacer.real_time_factor != self._values["real_time_factor"]:
-            self._pacer.real_time_factor = self._values["real_time_factor"]
+        factor = self._values["real_time_factor"]
+        if self._pacer.real_time_factor != factor:
+            self._pacer.real_time_factor = factor
         if self._paused != self._values["paused"]:
             self._paused = self._values["paused"]
             self._restart_pacer = True
@@ -228,15 +199,12 @@ class SimNode(Node):
     # ---- health
 
     def _publish_diagnostics(self) -> None:
-        state, counters, late = self._session.state, self._session.counters, self._pacer.lateness
+        state, counters = self._session.state, self._session.counters
         age, timeout = self._session.command_age_steps, self._config.timeout_steps
-        level, text = DiagnosticStatus.OK, "running"
+        level, text = DiagnosticStatus.OK, "paused" if self._paused else "running"
         if self._failed_step is not None:
-            level = DiagnosticStatus.ERROR
-            text = f"the state stopped being finite at step {self._failed_step}"
-        elif self._paused:
-            text = "paused"
-        elif timeout and age >= timeout:
+            level, text = DiagnosticStatus.ERROR, f"the state stopped being finite at step {self._failed_step}"
+        elif not self._paused and timeout and age >= timeout:
             level, text = DiagnosticStatus.WARN, "no command within command_timeout"
         values = {
             "step": state.step,
@@ -244,17 +212,14 @@ class SimNode(Node):
             "mode": self._values["mode"],
             "real time factor": self._pacer.real_time_factor,
             "overruns": self._pacer.overruns,
-            "lateness median [ms]": f"{1e3 * late.quantile(0.5):.3f}",
-            "lateness p99 [ms]": f"{1e3 * late.quantile(0.99):.3f}",
-            "lateness worst [ms]": f"{1e3 * late.worst:.3f}",
+            **{f"lateness {name} [ms]": value for name, value in self._pacer.lateness.in_ms().items()},
             "commands rejected": counters.rejected,
             "commands saturated": counters.saturated,
             "command age [s]": f"{age * self._config.period:.9g}",
             "bag": self._bag.path,
         }
-        self._diagnostics.publish(
-            diagnostics(self.get_clock().now().to_msg(), self.get_fully_qualified_name(), level, text, values)
-        )
+        now, name = self.get_clock().now().to_msg(), self.get_fully_qualified_name()
+        self._diagnostics.publish(diagnostics(now, name, level, text, values))
 
     # ---- the loop
 
@@ -265,23 +230,20 @@ class SimNode(Node):
         # what exists now stays: a full collection of it would hold a step up
         gc.collect()
         gc.freeze()
-        self.get_logger().info(
-            f"{self._values['mode']}, commands on "
-            f"{self._command_subscriptions[0].topic_name}{', paused' if self._paused else ''}"
-        )
+        topic, paused = self._command_subscriptions[0].topic_name, ", paused" if self._paused else ""
+        self.get_logger().info(f"{self._values['mode']}, commands on {topic}{paused}")
         self._pacer.restart()
         turn = self._turn_lockstep if self._lockstep else self._turn_realtime
         while not stopped():
             turn()
 
     def _turn_realtime(self) -> None:
-        # an executor needs some tenths of a millisecond to come out of its wait; the last piece
-        # before the deadline is slept instead, and commands that arrive meanwhile are taken then
+        # an executor leaves its wait some tenths of a millisecond late: the last piece before the
+        # deadline is slept instead, and commands that arrive meanwhile are taken then
         wait = _LONGEST_WAIT if self._paused else self._pacer.remaining() - _SLEPT
         self._executor.spin_once(timeout_sec=min(max(wait, 0.0), _LONGEST_WAIT))
         if self._restart_pacer:
-            # not in the service that asked for it: an answer may take a tenth of a second, when
-            # the middleware has not yet found its way to who asked
+            # not in the service that asked for it: the answer to a new client may take a tenth of a second
             self._restart_pacer = False
             self._pacer.restart()
         if self._paused or self._pacer.remaining() > _SLEPT:
@@ -313,9 +275,7 @@ class SimNode(Node):
 
     def summary(self) -> str:
         """One line on what was done."""
-        if self._lockstep:
-            return self._where()
-        return f"{self._where()}; {self._pacer.summary()}"
+        return self._where() if self._lockstep else f"{self._where()}; {self._pacer.summary()}"
 
 
 def _warm_up(config: SessionConfig) -> None:

@@ -9,10 +9,11 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+from trace_form import arm_table
 
 from puma_sim_core.arm.kinematics import link_transforms
 from puma_sim_core.arm.parameters import load_parameters
-from puma_sim_core.arm.rigid_body import arm_table, coriolis, gravity_torque, inertia
+from puma_sim_core.arm.rigid_body import coriolis, gravity_torque, inertia
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.plant.plant import Plant
 

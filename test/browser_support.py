@@ -128,7 +128,7 @@ def probe(texts, folder, widths=(1280, 390)) -> list[tuple[str, int, dict]]:
     return [(*each, what) for each, what in zip(asked, found, strict=True)]
 
 
-def check_drawn(texts, folder, least_height=150, least_letters=0.0) -> None:
+def assert_drawn(texts, folder, least_height=150, least_letters=0.0) -> None:
     """Every figure drawn, nothing wider than the page, no word cut off: on a desk and a phone.
 
     least_height, least_letters : of a drawing and of the letters in it [CSS pixels].

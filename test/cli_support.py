@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -24,16 +25,22 @@ GROUPS = ("voltage", *STATE_GROUPS)
 HEADER = "time,voltage1,voltage2,voltage3"
 
 
-def puma_sim(*arguments, **environment: str) -> subprocess.CompletedProcess:
-    """The command as a process of its own."""
+def puma_sim(*arguments, patience: float = 170.0, **environment: str) -> subprocess.CompletedProcess:
+    """The command as a process of its own, for at most `patience` [s]."""
     path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
     return subprocess.run(
         [sys.executable, "-m", "puma_sim_core", *map(str, arguments)],
         capture_output=True,
         text=True,
-        timeout=170,
+        timeout=patience,
         env={**os.environ, "PYTHONPATH": path, **environment},
     )
+
+
+def complaints(process: subprocess.CompletedProcess) -> list[str]:
+    """What a command wrote to standard error beside its progress, which a slow machine shows."""
+    progress = re.compile(r"puma-sim: .+: +\d+%, \d+ s")
+    return [line for line in process.stderr.splitlines() if not progress.fullmatch(line)]
 
 
 def call(*arguments) -> int:

@@ -135,6 +135,8 @@ def main() -> None:
     # away from other nodes of this machine, and off its network
     os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    # the interpreted kernel starts at once: no time limit here may count a compilation
+    os.environ["PUMA_SIM_KERNEL"] = "python"
     prefix = Path(get_package_prefix(PACKAGE))
     programs = prefix / "lib" / PACKAGE
     check_files(prefix, out)

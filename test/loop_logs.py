@@ -43,7 +43,7 @@ def pieces(mechanism, log, volts=0.02, noise=1e-6, place=0.5):
     problem = Problem(sample([log]), mechanism, place=place)
 
     def rows(of):
-        held = np.interp(log.time, of.sampled.time[of.kept], of.held.astype(float))
+        held = np.interp(log.time, of.sampled.time[of.kept], of.validation.astype(float))
         return [lambda t: np.interp(t, log.time, held) > 0.5]
 
     return (

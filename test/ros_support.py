@@ -53,10 +53,11 @@ def arguments(parameters: dict) -> list[str]:
     return ["--ros-args", *words]
 
 
-def run_program(module: str, *words: str) -> subprocess.CompletedProcess:
-    """A program of the package until it ends, with its status and its texts."""
+def run_program(program: str | Path, *words: str) -> subprocess.CompletedProcess:
+    """A module of the package, or a file, until it ends, with its status and its texts."""
+    start = [str(program)] if isinstance(program, Path) else ["-m", program]
     return subprocess.run(
-        [sys.executable, "-m", module, *words], env=environment(), text=True, capture_output=True, timeout=2 * PATIENCE
+        [sys.executable, *start, *words], env=environment(), text=True, capture_output=True, timeout=2 * PATIENCE
     )
 
 

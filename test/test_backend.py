@@ -7,8 +7,10 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -21,7 +23,7 @@ PROGRAM = """
 import json
 import numpy as np
 from puma_sim_core.jit import BACKEND
-from puma_sim_core.dynamics.servo import ServoConfig
+from puma_sim_core.servo.servo import ServoConfig
 from puma_sim_core.effects import KINDS, parse_effect
 from puma_sim_core.plant.plant import Plant
 from puma_sim_core.simulation.session import Session
@@ -164,20 +166,28 @@ def test_what_does_not_simulate_does_not_import_numba():
 # ----------------------------------------------------------------------------------------- cache
 
 
-def copied_package(tmp_path):
-    """Sources that may be changed, for the digest alone."""
-    import shutil
-
+@pytest.fixture
+def copied_package(tmp_path, monkeypatch):
+    """A copy of the package, and the name of the cache that it would use as it is now."""
     copy = tmp_path / "puma_sim_core"
-    shutil.copytree(backend._PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))
-    return copy
+    shutil.copytree(Path(backend.__file__).parent, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    spec = importlib.util.spec_from_file_location("jit_of_the_copy", copy / "jit.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return copy, lambda: Path(module.cache_directory()).name
 
 
-def test_a_change_of_any_compiled_source_is_another_cache(tmp_path, monkeypatch):
-    copy = copied_package(tmp_path)
-    monkeypatch.setattr(backend, "_PACKAGE", copy)
-    digests = [backend._source_digest()]
-    for name in (
+def change(path):
+    with open(path, "a", encoding="utf-8") as file:
+        file.write("\n# changed\n")
+
+
+def test_a_change_of_any_compiled_source_is_another_cache(copied_package):
+    copy, cache_name = copied_package
+    names = [cache_name()]
+    for path in (
         "dynamics/rigid.py",
         "dynamics/contact.py",
         "dynamics/runs.py",
@@ -185,53 +195,52 @@ def test_a_change_of_any_compiled_source_is_another_cache(tmp_path, monkeypatch)
         "jit.py",
         "effects/coulomb_friction.py",
         "effects/base.py",
-        "dynamics/pid.py",
-        "dynamics/servo.py",
+        "servo/pid.py",
+        "servo/servo.py",
     ):
-        with open(copy / name, "a", encoding="utf-8") as file:
-            file.write("\n# changed\n")
-        digests.append(backend._source_digest())
+        change(copy / path)
+        names.append(cache_name())
     (copy / "effects" / "new_effect.py").write_text("EFFECT = None\n")
-    digests.append(backend._source_digest())
-    assert len(set(digests)) == len(digests)
-    with open(copy / "simulation" / "session.py", "a", encoding="utf-8") as file:
-        file.write("\n# changed\n")
-    assert backend._source_digest() == digests[-1]
+    names.append(cache_name())
+    assert len(set(names)) == len(names)
+    change(copy / "simulation" / "session.py")
+    assert cache_name() == names[-1]
 
 
-def test_every_module_whose_code_others_compile_is_in_the_digest():
+def test_a_change_of_any_module_whose_code_others_compile_is_another_cache(copied_package):
     # numba itself notices a change in the file of an entry point
-    listed = [backend._PACKAGE / name for name in backend._SOURCES]
-    for path in backend._PACKAGE.rglob("*.py"):
+    copy, cache_name = copied_package
+    for path in copy.rglob("*.py"):
         text = path.read_text(encoding="utf-8")
         # an experiment of the thesis compiles its own slope, in the file of its entry points
-        own = path.parent.name == "thesis"
-        if not own and ("\n@inlined\n" in text or "\n@outlined\n" in text):
-            assert any(path == item or item in path.parents for item in listed), path
+        if path.parent.name != "thesis" and ("\n@inlined\n" in text or "\n@outlined\n" in text):
+            before = cache_name()
+            change(path)
+            assert cache_name() != before, path
 
 
 def test_the_cache_is_in_the_users_cache_folder(tmp_path, monkeypatch):
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    folder = backend._cache_directory()
-    assert folder == str(tmp_path / "puma_sim" / f"kernel-{backend._source_digest()}")
-    assert os.path.isdir(folder) and not os.listdir(folder)
+    folder = Path(backend.cache_directory())
+    assert folder.parent == tmp_path / "puma_sim" and folder.name.startswith("kernel-")
+    assert folder.is_dir() and not list(folder.iterdir())
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "own"))
-    assert backend._cache_directory().startswith(str(tmp_path / "own"))
+    assert backend.cache_directory().startswith(str(tmp_path / "own"))
 
 
 def test_without_a_folder_to_write_there_is_no_cache(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file" / "below"))
-    assert backend._cache_directory() is None
+    assert backend.cache_directory() is None
     monkeypatch.delenv("XDG_CACHE_HOME")
 
     def homeless(path):
         raise RuntimeError("Could not determine home directory.")
 
     monkeypatch.setattr(backend.Path, "expanduser", homeless)
-    assert backend._cache_directory() is None
+    assert backend.cache_directory() is None
 
 
 @pytest.mark.long
@@ -242,10 +251,10 @@ def test_a_kernel_without_a_cache_compiles_and_runs(tmp_path):
     done = python(
         "from puma_sim_core.dynamics.runs import terminal_voltages; "
         "from puma_sim_core.plant.plant import Plant; "
-        "from puma_sim_core.jit import _CACHE; "
-        "from puma_sim_core.simulation.simulator import native; "
+        "from puma_sim_core.jit import cache_directory; "
+        "from puma_sim_core.simulation.run_inputs import native; "
         "table = native(Plant.of().constants.table); "
-        "print(_CACHE, terminal_voltages(1.0, 2.0, 3.0, table))",
+        "print(cache_directory(), terminal_voltages(1.0, 2.0, 3.0, table))",
         PUMA_SIM_KERNEL="numba",
         NUMBA_CACHE_DIR=None,
         XDG_CACHE_HOME=str(tmp_path / "file" / "below"),

@@ -72,7 +72,7 @@ def test_an_error_at_the_first_write_leaves_nothing(tmp_path, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("puma_sim_core.recording.bag.recorder.Writer.flush", full)
+    monkeypatch.setattr("mcap.writer.Writer.flush", full)
     with pytest.raises(BagError, match="No space left"):
         sessions.new_recorder(tmp_path / "run")
     assert not list(tmp_path.iterdir())
@@ -86,7 +86,7 @@ def test_a_disk_that_fills_up_is_reported_once_and_leaves_a_bag_to_recover(tmp_p
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(recorder._writer, "flush", full)
+    monkeypatch.setattr("mcap.writer.Writer.flush", full)
     with pytest.raises(BagError, match="No space left.*puma-sim recover"):
         for step in range(30, 60):
             recorder.write_state(sessions.state(step))
@@ -105,7 +105,7 @@ def test_an_interrupted_write_is_not_closed_as_if_whole(tmp_path, monkeypatch):
     def interrupt(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(recorder._writer, "add_message", interrupt)
+    monkeypatch.setattr("mcap.writer.Writer.add_message", interrupt)
     with pytest.raises(KeyboardInterrupt):
         recorder.write_state(sessions.state(1))
     with pytest.raises(BagError, match="interrupted.*puma-sim recover"):

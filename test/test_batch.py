@@ -20,7 +20,7 @@ from puma_sim_core.effects import parse_effect
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.jit import BACKEND
 from puma_sim_core.plant.plant import Plant
-from puma_sim_core.simulation.batch import run_batch
+from puma_sim_core.simulation.batch import InitialState, run_batch
 from puma_sim_core.simulation.simulator import Simulator
 
 pytestmark = pytest.mark.long
@@ -59,7 +59,7 @@ def mixed_plants(runs: int) -> list[Plant]:
 @pytest.mark.parametrize("runs", [1, 2, LANES, LANES + 1, 3 * LANES - 1])
 def test_each_run_is_the_one_that_the_simulator_gives(runs):
     plants, voltage, position = mixed_plants(runs), volts(1, runs), starts(2, runs)
-    batch = run_batch(plants, TIME, voltage, position=position)
+    batch = run_batch(plants, TIME, voltage, start=InitialState(position))
     for r in range(runs):
         single = alone(plants[r], voltage[r], position[r])
         for name in ("position", "velocity", "current"):
@@ -69,7 +69,7 @@ def test_each_run_is_the_one_that_the_simulator_gives(runs):
 
 def test_without_lanes_the_bits_are_the_simulators():
     plants, voltage, position = mixed_plants(7), volts(3, 7), starts(4, 7)
-    batch = run_batch(plants, TIME, voltage, position=position, lanes=False)
+    batch = run_batch(plants, TIME, voltage, start=InitialState(position), lanes=False)
     for r in range(7):
         single = alone(plants[r], voltage[r], position[r])
         assert np.array_equal(batch.position[r], single.position)
@@ -79,20 +79,20 @@ def test_without_lanes_the_bits_are_the_simulators():
 
 def test_the_bits_depend_neither_on_workers_nor_on_neighbours():
     plants, voltage, position = mixed_plants(19), volts(5, 19), starts(6, 19)
-    reference = run_batch(plants, TIME, voltage, position=position, workers=1)
+    reference = run_batch(plants, TIME, voltage, start=InitialState(position), workers=1)
     for workers in (2, 3):
-        again = run_batch(plants, TIME, voltage, position=position, workers=workers)
+        again = run_batch(plants, TIME, voltage, start=InitialState(position), workers=workers)
         assert np.array_equal(again.position, reference.position)
     order = np.random.default_rng(0).permutation(19)
-    mixed = run_batch([plants[r] for r in order], TIME, voltage[order], position=position[order])
+    mixed = run_batch([plants[r] for r in order], TIME, voltage[order], start=InitialState(position[order]))
     assert np.array_equal(mixed.current, reference.current[order])
 
 
 def test_what_is_given_once_serves_all_runs():
     position = starts(7, 9)
     plant, voltage = Plant.of(), volts(8)
-    once = run_batch(plant, TIME, voltage, position=position)
-    each = run_batch([plant] * 9, TIME, np.stack([voltage] * 9), position=position, velocity=np.zeros((9, 3)))
+    once = run_batch(plant, TIME, voltage, start=InitialState(position))
+    each = run_batch([plant] * 9, TIME, np.stack([voltage] * 9), start=InitialState(position, np.zeros((9, 3))))
     assert np.array_equal(once.position, each.position)
 
 
@@ -104,7 +104,7 @@ def test_a_run_that_blows_up_spoils_no_other():
     plants = [plant, wild] + [plant] * 7
     voltage = volts(9)
     for lanes in (True, False):
-        batch = run_batch(plants, TIME, voltage, position=(0.0, -1.0, 1.0), lanes=lanes)
+        batch = run_batch(plants, TIME, voltage, start=InitialState((0.0, -1.0, 1.0)), lanes=lanes)
         assert batch.finite.tolist() == [True, False] + [True] * 7
         assert np.isnan(batch.position[1, -1]).all()
         assert np.array_equal(batch.position[0, 0], (0.0, -1.0, 1.0))
@@ -116,7 +116,7 @@ def test_a_run_that_blows_up_spoils_no_other():
 def test_progress_reaches_the_end():
     seen = []
     run_batch(
-        Plant.of(), TIME, volts(1), position=starts(1, 20), progress=lambda done, total: seen.append((done, total))
+        Plant.of(), TIME, volts(1), InitialState(starts(1, 20)), progress=lambda done, total: seen.append((done, total))
     )
     assert seen[-1] == (20, 20) and seen == sorted(seen)
 
@@ -125,7 +125,7 @@ def test_progress_reaches_the_end():
     "change, named",
     [
         ({"voltage": np.zeros((4, len(TIME), 3))}, "the same number of runs"),
-        ({"position": np.zeros((5, 2))}, "the same number of runs"),
+        ({"start": InitialState(np.zeros((5, 2)))}, "the same number of runs"),
         ({"voltage": np.full((len(TIME), 3), np.nan)}, "not finite"),
         ({"voltage": np.zeros((2, 3))}, "shape"),
         ({"time": TIME[::-1]}, "increas"),
@@ -133,7 +133,7 @@ def test_progress_reaches_the_end():
     ],
 )
 def test_bad_input_is_named(change, named):
-    arguments = {"time": TIME, "voltage": volts(1), "position": starts(1, 3)} | change
+    arguments = {"time": TIME, "voltage": volts(1), "start": InitialState(starts(1, 3))} | change
     time, voltage = arguments.pop("time"), arguments.pop("voltage")
     with pytest.raises(ParameterError, match=named):
         run_batch([Plant.of()] * 3, time, voltage, **arguments)
@@ -150,12 +150,12 @@ def test_sine_and_cosine_of_the_lanes_are_within_an_ulp(x):
 def test_batches_run_on_processes_without_numba(tmp_path):
     code = (
         "import numpy as np\n"
-        "from puma_sim_core.simulation.batch import run_batch\n"
+        "from puma_sim_core.simulation.batch import InitialState, run_batch\n"
         "from puma_sim_core.plant.plant import Plant\n"
         "t = np.arange(0.0, 0.2, 0.028)\n"
         "v = np.random.default_rng(1).uniform(-40, 40, (len(t), 3))\n"
         "if __name__ == '__main__':\n"
-        "    b = run_batch(Plant.of(), t, v, position=np.eye(3), lanes=False, workers=2)\n"
+        "    b = run_batch(Plant.of(), t, v, start=InitialState(np.eye(3)), lanes=False, workers=2)\n"
         "    print(b.position.tobytes().hex())\n"
     )
     script = tmp_path / "batch.py"

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from benchmarks import __main__ as bench
-from benchmarks import c_reference, casadi_peer, mujoco_peer, own, pinocchio_peer, roboticstoolbox_peer, table
+from benchmarks import against, c_reference, casadi_peer, mujoco_peer, own, pinocchio_peer, roboticstoolbox_peer, table
 from benchmarks.measure import first_calls, measured, order_of_calls
 from benchmarks.task import STEP, Row, Task, Unavailable
 from puma_sim_core.effects import parse_effect
@@ -256,3 +256,11 @@ def test_a_wrong_command_line_is_refused(arguments, complaint, capsys):
         bench.main(arguments)
     assert refused.value.code == 2
     assert complaint in capsys.readouterr().err
+
+
+def test_two_checkouts_are_timed_in_one_run(tmp_path):
+    """Each case of `make bench AGAINST=...` runs on both sides, here of one and the same checkout."""
+    seconds = against.ratios("Coulomb friction", "python", (against.ROOT, against.ROOT), 2)
+    assert seconds.shape == (2, 2) and (seconds > 0.0).all()
+    with pytest.raises(SystemExit, match="no such effect"):
+        against.ratios("no such effect", "python", (against.ROOT, against.ROOT), 1)

@@ -12,7 +12,7 @@ import sys
 import pytest
 import yaml
 from arm_reference import plant_of
-from cli_support import call, contents, puma_sim, record_session
+from cli_support import call, complaints, contents, puma_sim, record_session
 
 from puma_sim_core.jit import BACKEND
 from puma_sim_core.recording.bag import messages, read_bag
@@ -43,7 +43,7 @@ def mcap_of(bag):
     return bag / f"{bag.name}_0.mcap"
 
 
-def refused(capsys, tmp_path, *arguments, says):
+def assert_refused(capsys, tmp_path, *arguments, says):
     """The command fails with one line, and everything is as it was."""
     before = contents(tmp_path)
     capsys.readouterr()
@@ -70,7 +70,7 @@ def test_a_bag_replays_identical_from_its_directory_and_its_file(recorded, capsy
 def test_another_process_and_the_other_kernel_replay_identical(recorded):
     for kernel in ("auto", "python"):
         done = puma_sim("replay", recorded, PUMA_SIM_KERNEL=kernel)
-        assert done.returncode == 0 and done.stderr == "", done.stderr
+        assert (done.returncode, complaints(done)) == (0, [])
         assert "replay identical" in done.stdout
 
 
@@ -127,14 +127,14 @@ def test_bags_that_cannot_be_replayed_are_refused(tmp_path, capsys):
         ("text.mcap", ["text.mcap", "is not an MCAP file"]),
         ("empty", ["empty: is not a bag", "metadata.yaml"]),
     ):
-        refused(capsys, tmp_path, "replay", tmp_path / name, says=says)
+        assert_refused(capsys, tmp_path, "replay", tmp_path / name, says=says)
 
 
 def test_a_truncated_bag_is_refused_and_recover_is_named(recorded, tmp_path, capsys):
     data = mcap_of(recorded).read_bytes()
     for length in (len(data) - 1, 2 * len(data) // 3):
         mcap_of(recorded).write_bytes(data[:length])
-        refused(
+        assert_refused(
             capsys, tmp_path, "replay", recorded, says=[mcap_of(recorded).name, f"offset {length}", "puma-sim recover"]
         )
 
@@ -159,7 +159,7 @@ def test_a_model_that_this_version_cannot_rebuild_is_refused(tmp_path, capsys, m
     monkeypatch.setattr(SessionConfig, "to_mapping", lambda self: mapping)
     bag = record_session(tmp_path / "run", config, {}, 3)
     monkeypatch.undo()
-    refused(capsys, tmp_path, "replay", bag, says=["sim_node/model", "recorded by version 7.1.0", *says])
+    assert_refused(capsys, tmp_path, "replay", bag, says=["sim_node/model", "recorded by version 7.1.0", *says])
 
 
 # ------------------------------------------------------------------------------------- publish
@@ -168,18 +168,20 @@ def test_a_model_that_this_version_cannot_rebuild_is_refused(tmp_path, capsys, m
 def test_publishing_without_ros_says_what_is_missing(recorded, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "rclpy", None)
     monkeypatch.delitem(sys.modules, "puma_sim_ros.bag_publisher", raising=False)
-    refused(
+    assert_refused(
         capsys, tmp_path, "replay", recorded, "--publish", says=["replay --publish: rclpy cannot be imported", "ROS 2"]
     )
 
 
 def test_the_rate_belongs_to_publishing(recorded, tmp_path, capsys):
-    refused(capsys, tmp_path, "replay", recorded, "--rate", "2", says=["--rate 2 without --publish"])
-    refused(capsys, tmp_path, "replay", recorded, "--publish", "--rate", "x", says=["--rate: 'x'", "a finite number"])
+    assert_refused(capsys, tmp_path, "replay", recorded, "--rate", "2", says=["--rate 2 without --publish"])
+    assert_refused(
+        capsys, tmp_path, "replay", recorded, "--publish", "--rate", "x", says=["--rate: 'x'", "a finite number"]
+    )
 
 
 def test_publishing_goes_by_the_rate(recorded, capsys, monkeypatch):
-    from puma_sim_core.cli import replay
+    from puma_sim_core.cli import records
 
     calls = []
 
@@ -187,7 +189,7 @@ def test_publishing_goes_by_the_rate(recorded, capsys, monkeypatch):
         calls.append((bag, rate))
         return 7
 
-    monkeypatch.setattr(replay, "_publisher", lambda: publish)
+    monkeypatch.setattr(records, "_publisher", lambda: publish)
     assert call("replay", recorded, "--publish") == 0
     assert call("replay", recorded, "--publish", "--rate", "2.5") == 0
     assert calls == [(str(recorded), 1.0), (str(recorded), 2.5)]
@@ -202,7 +204,7 @@ def test_a_cut_bag_is_recovered_and_replays(recorded, tmp_path):
     mcap_of(recorded).write_bytes(data[: 3 * len(data) // 4])
     (recorded / "metadata.yaml").unlink()
     done = puma_sim("recover", recorded)
-    assert done.returncode == 0 and done.stderr == "", done.stderr
+    assert (done.returncode, complaints(done)) == (0, [])
     whole = tmp_path / "run_recovered"
     steps = int(read_bag(whole).steps[-1])
     assert str(whole) in done.stdout and f"{steps} steps" in done.stdout and 0 < steps < STEPS
@@ -217,9 +219,9 @@ def test_recover_goes_where_it_is_told(recorded, tmp_path, capsys):
 
 def test_recover_never_writes_over_anything(recorded, tmp_path, capsys):
     shutil.copytree(recorded, tmp_path / "run_recovered")
-    refused(capsys, tmp_path, "recover", recorded, says=["run_recovered", "exists already"])
-    refused(capsys, tmp_path, "recover", recorded, "--out", recorded, says=["exists already"])
-    refused(capsys, tmp_path, "recover", tmp_path / "nowhere", says=["nowhere: does not exist"])
+    assert_refused(capsys, tmp_path, "recover", recorded, says=["run_recovered", "exists already"])
+    assert_refused(capsys, tmp_path, "recover", recorded, "--out", recorded, says=["exists already"])
+    assert_refused(capsys, tmp_path, "recover", tmp_path / "nowhere", says=["nowhere: does not exist"])
 
 
 def test_the_model_in_a_bag_is_a_model_file(recorded, tmp_path, capsys):

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import csv
 import struct
 
 import numpy as np
@@ -22,6 +23,12 @@ def bits(array):
     return np.ascontiguousarray(array).view(np.int64).tolist()
 
 
+def quote_last_time(path):
+    """Quote a number: the quick reader then leaves the rows to the other one."""
+    *rows, last = path.read_bytes().removesuffix(b"\n").split(b"\n")
+    path.write_bytes(b"\n".join([*rows, b'"%s",%s' % tuple(last.split(b",", 1))]) + b"\n")
+
+
 @settings(max_examples=60)
 @given(values=st.lists(st.tuples(numbers, numbers, numbers), min_size=1, max_size=30))
 @example(values=[(-0.0, 5e-324, 1.7976931348623157e308), (0.1, 2.2250738585072014e-308, 1e22)])
@@ -30,10 +37,9 @@ def test_a_file_reads_back_to_the_same_bits(tmp_path_factory, values):
     time = np.arange(len(values)) * 0.1 - 0.3
     recording = Recording(time=time, voltage=np.array(values))
     write_csv(recording, path)
-    with pytest.MonkeyPatch.context() as patch:
-        quick = read_csv(path)
-        patch.setattr(module, "_clean_table", lambda file, names: None)
-        careful = read_csv(path)
+    quick = read_csv(path)
+    quote_last_time(path)
+    careful = read_csv(path)
     for read in (quick, careful):
         assert bits(read.voltage) == bits(recording.voltage) and bits(read.time) == bits(time)
 
@@ -67,9 +73,8 @@ def test_both_readers_take_and_refuse_the_same_fields(tmp_path_factory, field):
             return str(error)
 
     quick = outcome()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "_clean_table", lambda file, names: None)
-        assert outcome() == quick
+    quote_last_time(path)
+    assert outcome() == quick
     if isinstance(quick, list):
         assert struct.pack("<q", quick[0][1]) == struct.pack("<d", float(field.strip('" \t')))
 
@@ -78,11 +83,10 @@ def test_the_quick_reader_is_used_for_what_the_simulator_writes(tmp_path, monkey
     recording = Recording(time=np.arange(5.0), **{g: np.ones((5, 3)) for g in GROUPS})
     write_csv(recording, tmp_path / "run.csv")
 
-    def slow(*_):
-        raise AssertionError("read line by line")
-
-    monkeypatch.setattr(module, "_diagnosed_table", slow)
+    lines, reader = [], csv.reader
+    monkeypatch.setattr(csv, "reader", lambda rows: lines.extend(rows) or reader(rows))
     read = read_csv(tmp_path / "run.csv", GROUPS)
+    assert len(lines) == 1  # the names: no row is read by itself
     assert list(dict(read.columns())) == list(dict(recording.columns()))
 
 

@@ -19,7 +19,7 @@ GOOD = f"{HEADER}\n0,1,2,3\n0.5,1,2,3\n1,0,0,0\n"
 
 
 @pytest.fixture
-def refused(tmp_path, capsys):
+def assert_refused(tmp_path, capsys):
     """Runs a command that must fail: one line with the three parts, and the folder as it was."""
 
     def check(*arguments, says):
@@ -88,24 +88,24 @@ def rows(*lines):
         (rows("0,1,2,3", '0.5,"1,2,3'), ["line 3: 2 fields"]),
     ],
 )
-def test_a_voltage_file_that_cannot_be_used_is_refused(tmp_path, refused, text, says):
+def test_a_voltage_file_that_cannot_be_used_is_refused(tmp_path, assert_refused, text, says):
     bad = tmp_path / "bad.csv"
     bad.write_text(text)
-    refused("simulate", bad, "--out", tmp_path / "run.csv", says=says)
+    assert_refused("simulate", bad, "--out", tmp_path / "run.csv", says=says)
 
 
-def test_a_file_that_is_not_text_is_refused(tmp_path, refused):
+def test_a_file_that_is_not_text_is_refused(tmp_path, assert_refused):
     bad = tmp_path / "bad.csv"
     bad.write_bytes(GOOD.encode() + b"\xff\xfe\x00")
-    refused("simulate", bad, "--out", tmp_path / "run.csv", says=["bad.csv: is not text"])
+    assert_refused("simulate", bad, "--out", tmp_path / "run.csv", says=["bad.csv: is not text"])
     bad.write_bytes(GOOD.encode() + b"\x00" * 20)
-    refused("simulate", bad, "--out", tmp_path / "run.csv", says=["bad.csv, line 5"])
+    assert_refused("simulate", bad, "--out", tmp_path / "run.csv", says=["bad.csv: is not text"])
 
 
-def test_files_that_are_not_there_are_named(tmp_path, refused):
+def test_files_that_are_not_there_are_named(tmp_path, assert_refused):
     out = tmp_path / "run.csv"
-    refused("simulate", tmp_path / "no.csv", "--out", out, says=["no.csv: cannot be read"])
-    refused("simulate", tmp_path, "--out", out, says=[f"{tmp_path}: cannot be read"])
+    assert_refused("simulate", tmp_path / "no.csv", "--out", out, says=["no.csv: cannot be read"])
+    assert_refused("simulate", tmp_path, "--out", out, says=[f"{tmp_path}: cannot be read"])
 
 
 @pytest.mark.parametrize("cut", range(1, 8))
@@ -177,14 +177,14 @@ PARAMETER_FAULTS = {
 
 @pytest.mark.parametrize("fault", PARAMETER_FAULTS)
 @pytest.mark.parametrize("inside", ["parameters", "model"])
-def test_a_parameter_file_that_cannot_be_used_is_refused(tmp_path, volts, refused, fault, inside):
+def test_a_parameter_file_that_cannot_be_used_is_refused(tmp_path, volts, assert_refused, fault, inside):
     change, says = PARAMETER_FAULTS[fault]
     bad = tmp_path / "bad.yaml"
     mapping = changed(change)
     if inside == "model":
         mapping = {**Plant.of().to_mapping(), "parameters": mapping}
     bad.write_text(yaml_text(mapping))
-    refused("simulate", volts, "--out", tmp_path / "run.csv", f"--{inside}", bad, says=["bad.yaml", *says])
+    assert_refused("simulate", volts, "--out", tmp_path / "run.csv", f"--{inside}", bad, says=["bad.yaml", *says])
 
 
 @pytest.mark.parametrize(
@@ -199,13 +199,13 @@ def test_a_parameter_file_that_cannot_be_used_is_refused(tmp_path, volts, refuse
         (lambda m: m["effects"][0].update(joint=4), ["joint", "1, 2 or 3"]),
     ],
 )
-def test_a_model_file_that_cannot_be_used_is_refused(tmp_path, volts, refused, change, says):
+def test_a_model_file_that_cannot_be_used_is_refused(tmp_path, volts, assert_refused, change, says):
     bad = tmp_path / "bad.yaml"
     dump_model(Plant.of(effects=[_coulomb()]), bad)
     mapping = yaml.safe_load(bad.read_text())
     change(mapping)
     bad.write_text(yaml_text(mapping))
-    refused("simulate", volts, "--out", tmp_path / "run.csv", "--model", bad, says=["bad.yaml", *says])
+    assert_refused("simulate", volts, "--out", tmp_path / "run.csv", "--model", bad, says=["bad.yaml", *says])
 
 
 def _coulomb():
@@ -224,10 +224,10 @@ def _coulomb():
     ],
 )
 @pytest.mark.parametrize("option", ["--parameters", "--model"])
-def test_a_file_that_is_no_model_is_refused(tmp_path, volts, refused, text, says, option):
+def test_a_file_that_is_no_model_is_refused(tmp_path, volts, assert_refused, text, says, option):
     bad = tmp_path / "bad.yaml"
     bad.write_text(text)
-    refused("simulate", volts, "--out", tmp_path / "run.csv", option, bad, says=says)
+    assert_refused("simulate", volts, "--out", tmp_path / "run.csv", option, bad, says=says)
 
 
 # -------------------------------------------------------------------------------------- options
@@ -270,8 +270,8 @@ def test_a_file_that_is_no_model_is_refused(tmp_path, volts, refused, text, says
         (["--max-acceleration", "1,-1,1"], ["--max-acceleration: '1,-1,1'", "no number below 0"]),
     ],
 )
-def test_an_option_that_cannot_be_used_is_refused(tmp_path, volts, refused, options, says):
-    refused("simulate", volts, "--out", tmp_path / "run.csv", *options, says=says)
+def test_an_option_that_cannot_be_used_is_refused(tmp_path, volts, assert_refused, options, says):
+    assert_refused("simulate", volts, "--out", tmp_path / "run.csv", *options, says=says)
 
 
 @pytest.mark.parametrize(
@@ -296,19 +296,19 @@ def test_a_wrong_command_line_is_refused(arguments, says, capsys):
 # --------------------------------------------------------------------------------------- output
 
 
-def test_an_output_that_cannot_be_written_is_refused_before_the_run(tmp_path, volts, refused):
-    refused("simulate", volts, "--out", tmp_path / "no" / "run.csv", says=["run.csv: its folder does not exist"])
-    refused("simulate", volts, "--out", tmp_path, says=["is a folder"])
-    refused("simulate", volts, "--out", volts / "run.csv", says=["its folder does not exist"])
+def test_an_output_that_cannot_be_written_is_refused_before_the_run(tmp_path, volts, assert_refused):
+    assert_refused("simulate", volts, "--out", tmp_path / "no" / "run.csv", says=["run.csv: its folder does not exist"])
+    assert_refused("simulate", volts, "--out", tmp_path, says=["is a folder"])
+    assert_refused("simulate", volts, "--out", volts / "run.csv", says=["its folder does not exist"])
 
 
-def test_an_input_is_never_written_over(tmp_path, volts, refused):
+def test_an_input_is_never_written_over(tmp_path, volts, assert_refused):
     model = tmp_path / "model.yaml"
     dump_model(Plant.of(), model)
     (tmp_path / "link.csv").symlink_to(volts)
     for out in (volts, tmp_path / "link.csv", model):
-        refused("simulate", volts, "--out", out, "--model", model, says=["is an input"])
-    refused("model", "--model", model, "--out", model, says=["is an input"])
+        assert_refused("simulate", volts, "--out", out, "--model", model, says=["is an input"])
+    assert_refused("model", "--model", model, "--out", model, says=["is an input"])
 
 
 def test_a_device_is_written_to_and_not_replaced(volts):
@@ -317,21 +317,21 @@ def test_a_device_is_written_to_and_not_replaced(volts):
         assert null.read() == b""
 
 
-def test_a_failed_run_leaves_an_older_output_as_it_was(tmp_path, refused):
+def test_a_failed_run_leaves_an_older_output_as_it_was(tmp_path, assert_refused):
     bad = write_volts(tmp_path / "volts.csv", [0.0, 0.1, 0.2], [(0, 0, 0), (1e300, 0, 0), (0, 0, 0)])
     (tmp_path / "run.csv").write_text("mine")
-    refused(
+    assert_refused(
         "simulate", bad, "--out", tmp_path / "run.csv", says=["volts.csv, row 3 (0.2 s): the state is no longer finite"]
     )
 
 
-def test_a_full_disk_is_named_and_leaves_nothing(tmp_path, volts, refused):
-    refused("simulate", volts, "--out", "/dev/full", says=["/dev/full: cannot be written (No space"])
+def test_a_full_disk_is_named_and_leaves_nothing(tmp_path, volts, assert_refused):
+    assert_refused("simulate", volts, "--out", "/dev/full", says=["/dev/full: cannot be written (No space"])
 
 
-def test_times_that_cannot_be_seconds_are_refused(tmp_path, refused):
+def test_times_that_cannot_be_seconds_are_refused(tmp_path, assert_refused):
     bad = write_volts(tmp_path / "volts.csv", [0.0, 1e18], [(0, 0, 0), (0, 0, 0)])
-    refused("simulate", bad, "--out", tmp_path / "run.csv", says=["volts.csv: lasts 1e+18 s"])
+    assert_refused("simulate", bad, "--out", tmp_path / "run.csv", says=["volts.csv: lasts 1e+18 s"])
 
 
 # ------------------------------------------------------------------------------- measured logs
@@ -344,17 +344,17 @@ def test_times_that_cannot_be_seconds_are_refused(tmp_path, refused):
         (f"{HEADER},position1,position2", ["column 'position3' is missing"]),
         (
             f"{HEADER},position1,position2,position3,velocity1",
-            ["only 1 of the columns velocity1..3", "all three or none"],
+            ["only 1 of the columns velocity1..3", "all of them or none"],
         ),
         (f"{HEADER},position1,position2,position3,temperature", ["unknown column 'temperature'"]),
         ("time,position1,position2,position3", ["column 'voltage1' is missing"]),
     ],
 )
-def test_a_log_without_its_columns_is_refused(tmp_path, refused, header, says):
+def test_a_log_without_its_columns_is_refused(tmp_path, assert_refused, header, says):
     log = tmp_path / "log.csv"
     width = header.count(",")
     log.write_text(f"{header}\n" + "".join(f"{t}{',0' * width}\n" for t in range(5)))
-    refused("simulate", log, "--out", tmp_path / "run.csv", "--restart", "2", says=["log.csv, line 1", *says])
+    assert_refused("simulate", log, "--out", tmp_path / "run.csv", "--restart", "2", says=["log.csv, line 1", *says])
 
 
 @pytest.mark.parametrize(
@@ -367,16 +367,16 @@ def test_a_log_without_its_columns_is_refused(tmp_path, refused, header, says):
         (["--restart", "2", "--initial-current", "0,0,0"], ["--initial-current with --restart"]),
     ],
 )
-def test_a_restart_that_makes_no_sense_is_refused(tmp_path, refused, options, says):
+def test_a_restart_that_makes_no_sense_is_refused(tmp_path, assert_refused, options, says):
     log = tmp_path / "log.csv"
     log.write_text(f"{HEADER},position1,position2,position3\n" + "".join(f"{t}{',0' * 6}\n" for t in range(5)))
-    refused("simulate", log, "--out", tmp_path / "run.csv", *options, says=says)
+    assert_refused("simulate", log, "--out", tmp_path / "run.csv", *options, says=says)
 
 
-def test_a_log_of_one_row_is_refused(tmp_path, refused):
+def test_a_log_of_one_row_is_refused(tmp_path, assert_refused):
     log = tmp_path / "log.csv"
     log.write_text(f"{HEADER},position1,position2,position3\n0,0,0,0,0,0,0\n")
-    refused(
+    assert_refused(
         "simulate",
         log,
         "--out",
@@ -387,13 +387,13 @@ def test_a_log_of_one_row_is_refused(tmp_path, refused):
     )
 
 
-def test_a_log_that_the_arm_cannot_follow_is_named_by_its_row(tmp_path, refused):
+def test_a_log_that_the_arm_cannot_follow_is_named_by_its_row(tmp_path, assert_refused):
     log = tmp_path / "log.csv"
     log.write_text(
         f"{HEADER},position1,position2,position3\n"
         + "".join(f"{r * 0.1},{1e300 if r == 33 else 0},0,0,0,0,0\n" for r in range(50))
     )
-    refused(
+    assert_refused(
         "simulate",
         log,
         "--out",

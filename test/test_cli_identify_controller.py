@@ -11,10 +11,10 @@ import pytest
 from cli_support import call
 from controller_records import COUNT, H, record, write
 
-from puma_sim_core.dynamics.pid import PidGains
-from puma_sim_core.dynamics.servo import ServoConfig
 from puma_sim_core.plant.plant import Plant
 from puma_sim_core.recording.recording import write_csv
+from puma_sim_core.servo.pid import PidGains
+from puma_sim_core.servo.servo import ServoConfig
 from puma_sim_core.simulation.simulator import Simulator
 from puma_sim_core.tuning.controller_log import read_controller_log
 
@@ -36,7 +36,7 @@ def printed(capsys):
 
 
 @pytest.fixture
-def refused(capsys):
+def assert_refused(capsys):
     """The one line of a call that must fail."""
 
     def run(*arguments):
@@ -112,17 +112,17 @@ def test_options_reach_the_estimate(tmp_path, printed):
     assert low <= GAINS[0] * (1.0 + H / GAINS[1]) <= high
 
 
-def test_logs_that_cannot_be_used_are_refused(tmp_path, refused):
+def test_logs_that_cannot_be_used_are_refused(tmp_path, assert_refused):
     good = record(GAINS, 1, samples=300)
     three = write(good, tmp_path / "three.csv", 1)
     one = write(good, tmp_path / "one.csv")
-    assert "three.csv: has the columns of three joints; expected --joint" in refused(three)
-    assert "joint 1 of a log of one joint" in refused(one, "--joint", 1)
-    assert "joint 4; expected 1, 2 or 3" in refused(three, "--joint", 4)
-    assert "--joint: '1.5'" in refused(three, "--joint", "1.5")
-    assert "no excitation" in refused(three, "--joint", 2) or "not change" in refused(three, "--joint", 2)
-    assert "no.csv: cannot be read" in refused(tmp_path / "no.csv")
-    assert "--level with one log" in refused(one, "--level", "0.05")
+    assert "three.csv: has the columns of three joints; expected --joint" in assert_refused(three)
+    assert "joint 1 of a log of one joint" in assert_refused(one, "--joint", 1)
+    assert "joint 4; expected 1 or 2 or 3" in assert_refused(three, "--joint", 4)
+    assert "--joint: '1.5'" in assert_refused(three, "--joint", "1.5")
+    assert "no excitation" in assert_refused(three, "--joint", 2) or "not change" in assert_refused(three, "--joint", 2)
+    assert "no.csv: cannot be read" in assert_refused(tmp_path / "no.csv")
+    assert "--level with one log" in assert_refused(one, "--level", "0.05")
     lines = one.read_text().splitlines()
     for content, says in (
         (lines[:100] + lines[103:], "evenly spaced samples"),
@@ -133,7 +133,7 @@ def test_logs_that_cannot_be_used_are_refused(tmp_path, refused):
     ):
         bad = tmp_path / "bad.csv"
         bad.write_text("\n".join(content) + "\n")
-        assert says in refused(bad)
+        assert says in assert_refused(bad)
 
 
 def test_the_bound_of_the_counts_is_the_encoders(tmp_path, printed):

@@ -16,8 +16,8 @@ from puma_sim_core.control.computed_torque import InverseDynamics
 from puma_sim_core.control.controllers import make_controller
 from puma_sim_core.control.metrics import tracking_error
 from puma_sim_core.control.setpoints import Move
-from puma_sim_core.control.velocity_loop import VelocityLoop
-from puma_sim_core.dynamics.servo import ServoConfig
+from puma_sim_core.control.velocity_loop import VelocityLoop, VelocityLoopSettings
+from puma_sim_core.servo.servo import ServoConfig
 from puma_sim_core.simulation.simulator import SERVO_PERIOD
 
 SMOOTH = [Move(0.28, 1.2, (1.0, -0.8, 1.0))]
@@ -105,7 +105,7 @@ def test_what_the_voltage_limit_kept_back_does_not_come_later():
 
 
 def test_the_velocity_loop_follows_smooth_paths_without_a_model():
-    loop = VelocityLoop(SERVO_PERIOD, **LOOPS, limit=40.0)
+    loop = VelocityLoop(VelocityLoopSettings(**LOOPS), SERVO_PERIOD, limit=40.0)
     run, path = follow(loop, SMOOTH, 2.8)
     assert tracking_error(run, path).worst.max() < 0.01
     again, _ = follow(loop, SMOOTH, 2.8)

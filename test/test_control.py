@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 from puma_sim_core.arm.inverse_kinematics import wrist_angles
 from puma_sim_core.arm.kinematics import wrist_position
 from puma_sim_core.control.setpoints import smooth_share, straight_line, vertical_line
-from puma_sim_core.dynamics.pid import Pid, PidGains
-from puma_sim_core.dynamics.servo import ServoConfig, quantised
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.jit import interpreted
+from puma_sim_core.servo.pid import Pid, PidGains
+from puma_sim_core.servo.servo import ServoConfig, quantised
 from puma_sim_core.simulation.simulator import SERVO_PERIOD, Simulator
 
 GAINS = (PidGains(900.0, 0.2, 0.03), PidGains(1600.0, 0.3, 0.02), PidGains(800.0))
@@ -119,9 +119,9 @@ def test_joints_do_not_know_of_each_other():
         (lambda: PidGains(True), "gain = True"),
         (lambda: PidGains(1.0, 0.0), "integral_time = 0.0; expected a number of at least 1e-09"),
         (lambda: PidGains(1.0, 1.0, -0.1), "derivative_time = -0.1"),
-        (lambda: Pid(GAINS, 0.0), "period = 0.0; expected seconds, positive"),
-        (lambda: Pid(GAINS, 0.01, limit=0.0), "limit = 0.0; expected volts, positive"),
-        (lambda: Pid(GAINS, 0.01, limit=math.nan), "limit = nan"),
+        (lambda: Pid(GAINS, 0.0), "period 0.0 s; expected a positive number"),
+        (lambda: Pid(GAINS, 0.01, limit=0.0), "limit 0.0 V; expected a positive number"),
+        (lambda: Pid(GAINS, 0.01, limit=math.nan), "limit nan"),
         (lambda: Pid(GAINS, 0.01).update(0.0, [0.0], [0.0] * 3), "expected 3 of each"),
         (lambda: ServoConfig(gains=GAINS[:2]), "servo: gains .* expected PidGains of three joints"),
         (lambda: ServoConfig(amplifier_gain=0.0), "amplifier_gain 0.0; expected a positive number"),
@@ -323,9 +323,9 @@ def test_smooth_share_is_at_rest_at_both_ends():
             r"wrist at height .* m: joint 3 at .* rad; expected .* rad along the whole line",
         ),
         (((0.0, 1.0, 0.0), -0.1, 3.0), "joint 2 at 1.0000 rad"),
-        ((START, -0.1, 0.0), "duration = 0.0 s; expected a positive number"),
-        ((START, -0.1, math.nan), "duration = nan s"),
-        ((START, -0.1, 1.0, -1.0), "period = -1.0 s"),
+        ((START, -0.1, 0.0), "duration 0.0 s; expected a positive number"),
+        ((START, -0.1, math.nan), "duration nan s"),
+        ((START, -0.1, 1.0, -1.0), "period -1.0 s"),
     ],
 )
 def test_lines_that_cannot_be_followed_are_named(arguments, message):

@@ -21,11 +21,11 @@ from puma_sim_core.control.controllers import GROUPS, KINDS, load_settings, make
 from puma_sim_core.control.metrics import tracking_error
 from puma_sim_core.control.scheduled import GainSchedule, ScheduledPid
 from puma_sim_core.control.setpoints import Move, joint_path, joint_setpoints
-from puma_sim_core.control.velocity_loop import VelocityLoop
-from puma_sim_core.dynamics.pid import Pid, PidGains
-from puma_sim_core.dynamics.servo import DEFAULT_GAINS, ServoConfig
+from puma_sim_core.control.velocity_loop import VelocityLoop, VelocityLoopSettings
 from puma_sim_core.errors import NonFiniteStateError, ParameterError
 from puma_sim_core.resources import config_path
+from puma_sim_core.servo.pid import Pid, PidGains
+from puma_sim_core.servo.servo import DEFAULT_GAINS, ServoConfig
 from puma_sim_core.simulation.feedback import samples_per_period
 from puma_sim_core.simulation.simulator import SERVO_PERIOD, Simulator
 from puma_sim_core.tuning.schedule_design import placed_gains, schedule_of, ultimate_gains
@@ -278,13 +278,13 @@ def test_a_change_of_the_gains_moves_nothing_by_itself():
         (lambda: schedule(gain=[1.0, 2.0]), "gain = .*; expected three entries, one for each joint"),
         (lambda: schedule(gain=[[[1.0] * 3] * 3, 1.0, 1.0]), "gain of joint 1 .* 3 rows of 4 numbers"),
         (lambda: schedule(gain=[1.0, "x", 1.0]), "gain of joint 2 = 'x'"),
-        (lambda: schedule(gain=[1.0, 0.0, 1.0]), "gain of joint 2 = 0.0; expected positive numbers"),
+        (lambda: schedule(gain=[1.0, 0.0, 1.0]), "gain of joint 2 0.0; expected a positive number"),
         (lambda: schedule(integral_time=[1.0, 0.0, 1.0]), "integral_time = 0.0"),
         (lambda: schedule(derivative_time=[-1.0, 0.0, 1.0]), "derivative_time = -1.0"),
         (lambda: schedule(colour=1), "keys .*colour; expected q2, q3, gain"),
         (lambda: GainSchedule.from_mapping([]), "gain schedule: keys"),
-        (lambda: ScheduledPid(schedule(), 0.0), "period = 0.0; expected seconds"),
-        (lambda: ScheduledPid(schedule(), 0.01, limit=-1.0), "limit = -1.0; expected volts"),
+        (lambda: ScheduledPid(schedule(), 0.0), "period 0.0 s; expected a positive number"),
+        (lambda: ScheduledPid(schedule(), 0.01, limit=-1.0), "limit -1.0 V; expected a positive number"),
         (lambda: ScheduledPid(schedule(), 0.01).update(0.0, (0.0,), (0.0,)), "expected 3 of each"),
     ],
 )
@@ -411,15 +411,18 @@ def test_the_amplifier_changes_nothing_but_the_scale_of_a_model_based_controller
         ),
         (lambda: computed(bandwidth=[1.0, 2.0]), "bandwidth = .* three positive numbers"),
         (lambda: computed(bandwidth=["a"] * 3), "computed torque"),
-        (lambda: computed(velocity_filter=0.0), "velocity_filter = 0.0; expected a positive number"),
+        (lambda: computed(velocity_filter=0.0), "velocity_filter 0.0 rad/s; expected a positive number"),
         (lambda: computed(back_emf="guessed"), "back_emf 'guessed'; expected measured or reference"),
         (lambda: computed(lead=2.0), "lead 2.0"),
         (lambda: computed(greatest_velocity=[0.0] * 3), "greatest velocity"),
         (lambda: computed(greatest_velocity=[1.0] * 4), "greatest velocity"),
-        (lambda: computed(greatest_velocity=["a"] * 3), "computed torque"),
+        (lambda: computed(greatest_velocity=["a"] * 3), "greatest velocity"),
         (lambda: make_controller("computed_torque", PLANT, period=0.005), "period = 0.005 s"),
         (lambda: make_controller("computed_torque", PLANT).update(0.0, (0.0,), (0.0,)), "3 of each"),
-        (lambda: VelocityLoop(0.028, **{**LOOPS, "velocity_gain": (0.0, 1.0, 1.0)}), "velocity_gain"),
+        (
+            lambda: VelocityLoop(VelocityLoopSettings(**LOOPS | {"velocity_gain": (0.0, 1.0, 1.0)}), 0.028),
+            "velocity_gain",
+        ),
     ],
 )
 def test_settings_that_cannot_be_are_named(make, message):

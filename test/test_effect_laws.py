@@ -14,18 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from test_rigid_body import assert_same_dynamics, central_inertia, mujoco_chain
+from trace_form import arm_table, trace_coriolis, trace_gravity, trace_inertia
 
 from puma_sim_core.arm.kinematics import dh_table, link_transforms, wrist_position
-from puma_sim_core.arm.rigid_body import (
-    arm_pseudo_inertias,
-    arm_table,
-    coriolis,
-    gravity_torque,
-    inertia,
-    trace_coriolis,
-    trace_gravity,
-    trace_inertia,
-)
+from puma_sim_core.arm.rigid_body import arm_pseudo_inertias, coriolis, gravity_torque, inertia
 from puma_sim_core.dynamics.torques import bristle_flow
 from puma_sim_core.effects import KINDS
 from puma_sim_core.effects.soft_stop import stop_torque

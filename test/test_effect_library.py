@@ -18,13 +18,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from test_stick_slip import POSITION, EventDriven
+from trace_form import arm_table
 
 from puma_sim_core.arm.kinematics import first_derivatives
-from puma_sim_core.arm.rigid_body import arm_pseudo_inertias, arm_table, gravity_torque
+from puma_sim_core.arm.rigid_body import arm_pseudo_inertias, gravity_torque
 from puma_sim_core.effects.impulse import pulse_torque
 from puma_sim_core.jit import interpreted
 from puma_sim_core.plant.plant import Plant
-from puma_sim_core.simulation.batch import run_batch
+from puma_sim_core.simulation.batch import InitialState, run_batch
 from puma_sim_core.simulation.simulator import SERVO_PERIOD, Constraint, Simulator
 
 HOLD = Constraint("hold")
@@ -311,7 +312,7 @@ def test_a_run_in_pieces_and_one_after_a_reset_are_the_run():
 def test_a_batch_gives_the_same_bits():
     time, volts = smooth_voltages((9.0, 12.0, 7.0), 0.5)
     plants = [plant_of(*LIBRARY), plant_of("base_tilt:x=0.05")]
-    result = run_batch(plants, time, volts, position=START[0])
+    result = run_batch(plants, time, volts, start=InitialState(START[0]))
     for n, plant in enumerate(plants):
         simulator = Simulator(plant)
         simulator.reset(START[0])

@@ -8,20 +8,23 @@ held here against MuJoCo and the trace form, neither of which it shares code wit
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from test_rigid_body import central_inertia, mujoco_chain, mujoco_terms
+from trace_form import arm_table, trace_coriolis, trace_gravity, trace_inertia
 
 from puma_sim_core.arm import printed_coefficients
 from puma_sim_core.arm.parameters import load_parameters
-from puma_sim_core.arm.rigid_body import arm_pseudo_inertias, arm_table, trace_coriolis, trace_gravity, trace_inertia
+from puma_sim_core.arm.rigid_body import arm_pseudo_inertias
+from puma_sim_core.errors import ParameterError
 from puma_sim_core.thesis import errata
 from puma_sim_core.thesis.errata import ERRATA
-from puma_sim_core.thesis.misprints import chapter_4, chapter_5, chapter_6, reference, references
-from puma_sim_core.thesis.misprints.evidence import CLEARANCE, Between, Evidence
+from puma_sim_core.thesis.misprints import chapter_4, chapter_4_forms, chapter_5, chapter_6, reference, references
+from puma_sim_core.thesis.misprints.evidence import CLEARANCE, Between, Evidence, read_errata
 from puma_sim_core.thesis.registry import Context
 
 by_key = pytest.mark.parametrize("erratum", ERRATA, ids=lambda erratum: erratum.key)
@@ -117,10 +120,32 @@ def test_printed_constant_of_d22_comes_from_the_sign_of_a3():
     assert chapter_4.d22_constant(+0.0191) == pytest.approx(2.3616 + 3.0574, abs=1e-4)
 
 
+def test_row_on_equation_5_2_quotes_the_load_of_the_stretched_arm():
+    (erratum,) = (erratum for erratum in ERRATA if erratum.key == "5.2 gear")
+    load = abs(reference.gravity(np.array([0.0, 0.0, math.pi / 2]))[1])
+    assert erratum.quantity.endswith(f", {load:.2f} N.m")
+
+
 def test_every_misprint_in_the_numbers_of_section_4_5_has_a_row():
     rows = " ".join(erratum.key for erratum in ERRATA)
-    for name in printed_coefficients.misprints():
-        assert f"4.5 {name}" in rows
+    for name, terms in printed_coefficients.COEFFICIENTS.items():
+        if any(term.printed != term.corrected for term in terms):
+            assert f"4.5 {name}" in rows
+
+
+def test_every_misprint_of_the_equations_in_symbols_has_a_row():
+    given = [erratum.proof.keywords for erratum in ERRATA if "slip" in erratum.proof.keywords]
+    proved = {(each["name"], each["slip"]) for each in given if "name" in each}
+    equations = chapter_4_forms.EQUATIONS.items()
+    assert proved == {(name, slip) for name, equation in equations for slip in equation.get("slips", ())}
+
+
+def test_a_misprint_that_is_no_part_of_its_equation_is_refused(monkeypatch):
+    monkeypatch.setitem(chapter_4_forms.EQUATIONS, "X", {"correct": "a2 + a2", "slips": {"y": ["y2", "y3"]}})
+    s = chapter_4_forms.symbols((0.0, 0.1, 0.2), reference.nominal())
+    assert chapter_4_forms.evaluate("X", s) == 2 * reference.nominal().a2
+    with pytest.raises(ParameterError, match="X, y: 0 times 'y2'; expected one"):
+        chapter_4_forms.evaluate("X", s, ("y",))
 
 
 def test_eigenvalues_that_the_row_on_section_6_3_quotes():
@@ -139,10 +164,10 @@ def test_eigenvalues_that_the_row_on_section_6_3_quotes():
 
 def test_only_the_captions_that_differ_from_the_text_are_listed():
     listed = {erratum.key.split()[1] for erratum in ERRATA if erratum.key.startswith("caption")}
-    differ = {plot for plot in references.TEXT if references.TEXT[plot] != references.CAPTIONS[plot]}
-    differ |= {
-        plot for plot in references.VOLTAGE_PLOTS if references.VOLTAGE_PLOTS[plot] != references.VOLTAGE_CAPTIONS[plot]
-    }
+    contents = references.CONTENTS
+    differ = {plot for plot in contents["text"] if contents["text"][plot] != contents["captions"][plot]}
+    shown, said = contents["voltage_plots"], contents["voltage_captions"]
+    differ |= {plot for plot in shown if shown[plot] != said[plot]}
     assert listed == differ
 
 
@@ -166,6 +191,74 @@ def test_only_the_captions_that_differ_from_the_text_are_listed():
 )
 def test_what_counts_as_proof(reference_, correct, printed, tolerance, proved):
     assert Evidence("x", "", "test", reference_, correct, printed, tolerance).proved is proved
+
+
+# ----------------------------------------------------------------------------- texts and proofs
+
+ENTRY = {
+    "key": "9.9 x",
+    "where": "equation 9.9",
+    "printed": "x",
+    "correct": "x^2",
+    "quantity": "square of 3",
+    "by": "three threes",
+    "proof": "square",
+    "given": {"x": 3.0},
+}
+
+
+def prove_square(x, reference=9.0):
+    return reference, x**2, x
+
+
+def errata_of(tmp_path, *entries, **functions):
+    path = tmp_path / "errata.yaml"
+    path.write_text(json.dumps(entries), encoding="utf-8")
+    return read_errata(path, {"prove_square": prove_square, "other": None, **functions})
+
+
+def test_an_erratum_is_made_of_its_entry_and_the_function_that_it_names(tmp_path):
+    (erratum,) = errata_of(tmp_path, ENTRY)
+    evidence = erratum.evidence()
+    assert (erratum.key, erratum.where, erratum.note) == ("9.9 x", "equation 9.9", "")
+    assert (evidence.reference, evidence.correct, evidence.printed) == (9.0, 9.0, 3.0)
+    assert evidence.proved
+
+
+def test_several_errata_share_a_function(tmp_path):
+    given = {"x": 2.0, "reference": {"low": 4, "high": 5}}
+    first, second = errata_of(tmp_path, ENTRY, {**ENTRY, "key": "9.9 y", "given": given})
+    assert second.evidence().reference == Between(4, 5)
+    assert first.evidence().reference == 9.0
+
+
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        ({"by": None}, "'by'"),
+        ({"colour": "red"}, "'colour'"),
+        ({"printed": 0.018}, "printed = 0.018; expected a text"),
+        ({"proof": "cube"}, "no function prove_cube"),
+        ({"proof": None}, "no function prove_None"),
+        ({"given": {}}, "missing a required argument: 'x'"),
+        ({"given": {"x": 3.0, "z": 1.0}}, "unexpected keyword argument 'z'"),
+    ],
+)
+def test_an_unusable_entry_is_named(tmp_path, change, words):
+    entry = {name: value for name, value in {**ENTRY, **change}.items() if value is not None}
+    with pytest.raises(ParameterError) as caught:
+        errata_of(tmp_path, entry)
+    assert "errata.yaml, '9.9 x': " in str(caught.value) and words in str(caught.value)
+
+
+def test_a_key_that_stands_twice_is_refused(tmp_path):
+    with pytest.raises(ParameterError, match="'9.9 x': the key stands twice"):
+        errata_of(tmp_path, ENTRY, ENTRY)
+
+
+def test_a_proof_without_an_erratum_is_refused(tmp_path):
+    with pytest.raises(ParameterError, match=r"no erratum for \['lost'\]"):
+        errata_of(tmp_path, ENTRY, prove_lost=prove_square)
 
 
 # ------------------------------------------------------------------------------- the experiment

@@ -10,8 +10,7 @@ import pytest
 from puma_sim_core.arm.rigid_body import inertia, lumped_constants
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.jit import BACKEND
-from puma_sim_core.thesis.motions import UPRIGHT
-from puma_sim_core.thesis.radii import (
+from puma_sim_core.thesis.chapter_7_4 import (
     LUMPS,
     SCALED,
     WAIST,
@@ -22,10 +21,12 @@ from puma_sim_core.thesis.radii import (
     with_friction,
     with_lumps,
 )
+from puma_sim_core.thesis.motions import UPRIGHT
 from puma_sim_core.thesis.registry import Context
 from puma_sim_core.tuning.estimation import (
     START_SPREAD,
     Instrument,
+    ServoTest,
     _whitener,
     estimate,
     record_from_servo,
@@ -76,14 +77,8 @@ def test_spread_of_open_loop_angles_is_what_the_weights_assume(campaign):
     plant = campaign.hidden(1)
     residuals = []
     for n in range(120):
-        record, _ = record_from_servo(
-            plant,
-            demand(UPRIGHT, 1, 1.0, 1.6),
-            joint=1,
-            instrument=campaign.instrument,
-            rng=np.random.default_rng(n),
-            servo=campaign.servo,
-        )
+        test, rng = ServoTest(1, campaign.servo), np.random.default_rng(n)
+        record, _ = record_from_servo(plant, demand(UPRIGHT, 1, 1.0, 1.6), test, campaign.instrument, rng)
         residuals.append(record.simulated(plant)[:, 0] - record.angle[:, 0])
     residuals = np.array(residuals)
     L = np.linalg.inv(_whitener(record, 1, plant, campaign.instrument))

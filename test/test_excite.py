@@ -20,11 +20,11 @@ from puma_sim_core.identify.data.sampling import sample
 from puma_sim_core.identify.experiment.design import design, suspects_of
 from puma_sim_core.identify.experiment.excitation import Builder, Limits, voltages
 from puma_sim_core.identify.experiment.next_experiment import label, next_experiment
-from puma_sim_core.identify.experiment.separation import Judge, _Parameters, play
+from puma_sim_core.identify.experiment.separation import Judge, Parameters, simulate
 from puma_sim_core.identify.result import Hypothesis
 from puma_sim_core.identify.screening.evidence import screen
 from puma_sim_core.identify.screening.problem import Problem
-from puma_sim_core.identify.screening.search import Search
+from puma_sim_core.identify.screening.search import Chosen, Search
 from puma_sim_core.identify.settings import EXPERIMENT, SELECTION
 from puma_sim_core.plant.mechanism_file import load_mechanism
 from puma_sim_core.plant.model_file import dump_model
@@ -101,7 +101,7 @@ def test_motions_keep_to_ranges_speeds_and_voltages(name):
 @pytest.mark.parametrize("name", MACHINES)
 def test_voltages_lead_the_model_along_the_motion(name, designs):
     found, machine = designs[name], MACHINES[name]
-    position = play(machine.plant(), found.motion, found.time, found.voltage)
+    position = simulate(machine.plant(), found.motion, found.time, found.voltage)
     span = np.ptp(machine.ranges, axis=1)
     assert (np.abs(position - found.setpoint).max(axis=0) < 0.01 * span).all()
 
@@ -115,7 +115,7 @@ def test_machines_that_are_not_the_model_stay_within_their_ranges(name, designs)
     assert (np.abs(found.voltage) <= Limits.of(machine).voltage).all()
     for n in range(9):
         theta = machine.start * (1.0 + rng.uniform(-0.08, 0.08, len(machine.start)))
-        position = play(machine.plant(theta, usual[n % 3]), found.motion, found.time, found.voltage)
+        position = simulate(machine.plant(theta, usual[n % 3]), found.motion, found.time, found.voltage)
         assert (position > low).all() and (position < high).all()
 
 
@@ -132,7 +132,7 @@ def test_voltages_of_a_model_with_effects_make_up_for_them():
     noise = np.full(3, 1e-3)
     plan = motion.at(time)[0]
     blind, aware = (
-        np.abs(play(dry.plant(), motion, time, voltages(m, motion, time, noise)) - plan).max(axis=0)[:2]
+        np.abs(simulate(dry.plant(), motion, time, voltages(m, motion, time, noise)) - plan).max(axis=0)[:2]
         for m in (machine, dry)
     )
     assert (aware < 0.25 * blind).all()
@@ -148,10 +148,10 @@ def test_what_is_left_of_an_effect_is_that_of_least_squares():
     judge = Judge(builder, suspects_of(["voltage_offset@2", "joint_spring@2"], machine))
     motion = builder.random(np.random.default_rng(3), frozenset({1}))
     signals = judge.planned(motion)
-    base = _Parameters(machine, signals)
+    base = Parameters(machine, signals)
     (one,), (other,) = (
         [(c, X) for c, X in zip(cs, base.reduced(cs))]
-        for cs in (s.kind.screening.candidates(signals, s.joint) for s in judge.suspects)
+        for cs in (s.kind.screening.candidates(signals, s.joint - 1) for s in judge.suspects)
     )
     p = base.N.shape[1]
     for (candidate, X), against, n in ((one, other, 0), (other, one, 1)):
@@ -313,7 +313,7 @@ def recorded(machine, motion, *effects, seed=4):
     volts = voltages(machine, motion, time, np.full(machine.joints, 1e-3))
     theta = machine.start * (1.0 + rng.uniform(-0.05, 0.05, len(machine.start)))
     plant = machine.plant(theta, [parse_effect(text) for text in effects])
-    position = play(plant, motion, time, volts + 0.02 * rng.normal(size=volts.shape))
+    position = simulate(plant, motion, time, volts + 0.02 * rng.normal(size=volts.shape))
     count = 2.0 * np.pi / 65536.0
     return Log("log", time, volts, np.round(position / count) * count)
 
@@ -325,7 +325,7 @@ def gains(machine, log, names):
     bank = search.bank(fit.theta)
     for _ in range(2):
         best = max(screen(fit.base, fit.base.whiten(bank)), key=lambda s: s.gain)
-        weights = search.settle(fit.linear, (search.choose(best, bank),)).weights
+        weights = search.settle(fit.linear, (Chosen(best.best.entry, bank.columns_of(best.best.entry)),)).weights
         fit = search.base(fit.linear, (), weights)
     return {s.name: s.gain for s in screen(fit.base, fit.base.whiten(bank))}
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from controller_records import COUNT, VOLT_STEP, H, record
 
-from puma_sim_core.dynamics.pid import PidGains, recursive_coefficients
 from puma_sim_core.errors import ParameterError, RecordingError
+from puma_sim_core.servo.pid import PidGains, recursive_coefficients
 from puma_sim_core.tuning.bounded_error import Enclosure
 from puma_sim_core.tuning.controller_log import ControllerLog, lattice_step
 from puma_sim_core.tuning.least_squares import RecursiveLeastSquares
@@ -219,7 +219,7 @@ def test_the_delay_of_a_controller_is_taken_out():
     log = record(GAINS, 7)
     late = replace(log, voltage=np.concatenate([np.zeros(2), log.voltage[:-2]]))
     assert values(identify_pid(late.with_delay(2))) == pytest.approx(GAINS, rel=5e-3)
-    with pytest.raises(ParameterError, match="delay: -1 samples"):
+    with pytest.raises(ParameterError, match="delay: samples -1; expected a whole number from 0"):
         late.with_delay(-1)
 
 
@@ -377,7 +377,7 @@ def test_transfer_function_options_outside_their_range_are_refused():
 
 def test_logs_that_are_not_columns_of_one_length_are_refused():
     for columns, says in (
-        ((np.zeros(20), np.zeros(20), np.zeros(19)), "shapes"),
+        ((np.zeros(20), np.zeros(20), np.zeros(19)), "of shape"),
         ((np.zeros(5),) * 3, "5 samples"),
         ((np.full(20, np.nan), np.zeros(20), np.zeros(20)), "not finite"),
     ):

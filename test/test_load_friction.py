@@ -24,7 +24,7 @@ from puma_sim_core.effects.base import Role
 from puma_sim_core.identify.screening.known_effects import known_voltage
 from puma_sim_core.plant.mechanism_file import load_mechanism
 from puma_sim_core.plant.one_joint import OneJoint, OneJointPlant
-from puma_sim_core.simulation.batch import run_batch
+from puma_sim_core.simulation.batch import InitialState, run_batch
 from puma_sim_core.simulation.simulator import Constraint, Simulator
 
 NAME = "load_dependent_friction"
@@ -280,7 +280,7 @@ def test_a_batch_gives_the_same_bits():
     time = np.arange(0.0, 0.4, 0.02)
     volts = np.column_stack([9 * np.sin(9 * time), 14 * np.cos(7 * time), -9 * np.sin(11 * time)])
     plants = [plant_of(f"{NAME}:joint=2,coefficient=0.2,transmitted=1"), plant_of()]
-    result = run_batch(plants, time, volts, position=(0.1, -1.2, 0.9))
+    result = run_batch(plants, time, volts, start=InitialState((0.1, -1.2, 0.9)))
     for n, plant in enumerate(plants):
         simulator = Simulator(plant)
         simulator.reset((0.1, -1.2, 0.9))

@@ -26,7 +26,7 @@ A, B = ("coulomb_friction", 1), ("impulse", 2)
 
 
 def scored(key):
-    return Scored(*key, 0.0, 0.0, None, None, None, None)
+    return Scored(*key, 0.0)
 
 
 def trial(key, gain, occam=3.0, validation_gain=10.0):

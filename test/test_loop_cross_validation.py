@@ -27,7 +27,7 @@ def fits(*true, place=0.5):
     effects = tuple(parse_effect(text) for text in true)
     log = record(mechanism, mechanism.plant(effects=effects), volts=NOISE, noise=1e-5)
     problem, rows, predictor = pieces(mechanism, log, NOISE, 1e-5, place)
-    weighting = predictor.white_weighting(predictor.errors(mechanism.plant(effects=effects)))
+    weighting = predictor.unfiltered_weighting(predictor.errors(mechanism.plant(effects=effects)))
     fit = PredictionFit(predictor, weighting)
 
     def fitted(text, *names):
@@ -116,11 +116,11 @@ def test_what_the_other_folds_tell_nothing_of_follows_what_they_do_tell():
 def test_logs_for_validation_are_predicted_as_they_are():
     mechanism = load_mechanism("pendulum")
     problem, rows, predictor = pieces(mechanism, record(mechanism, mechanism.plant()))
-    whole = Problem(problem.sampled, mechanism, (), hold_back=False)
+    whole = Problem(problem.sampled, mechanism, (), blocks=False)
     folds = CrossValidation.of(whole, predictor, rows)
     assert len(folds.folds) == 1 and folds.folds[0].unseen
     point = Point(mechanism.start * 1.01, ())
-    weighting = predictor.white_weighting(predictor.errors(mechanism.plant()))
+    weighting = predictor.unfiltered_weighting(predictor.errors(mechanism.plant()))
     model = WeightedModel(Fitted(point, np.zeros((0, 1)), 0.0, ()), weighting)
     assert folds._points(model) == [point]
     assert set(
@@ -132,10 +132,10 @@ def test_without_any_window_nothing_is_said_against_a_name():
     mechanism = load_mechanism("pendulum")
     problem, _, predictor = pieces(mechanism, record(mechanism, mechanism.plant()))
     none = [lambda t: np.zeros(len(t), dtype=bool)]
-    whole = Problem(problem.sampled, mechanism, (), hold_back=False)
+    whole = Problem(problem.sampled, mechanism, (), blocks=False)
     bare = predictor.validated_at(none)
     folds = CrossValidation([Fold(bare, Validation(whole, bare), True)])
-    weighting = predictor.white_weighting(predictor.errors(mechanism.plant()))
+    weighting = predictor.unfiltered_weighting(predictor.errors(mechanism.plant()))
     model = WeightedModel(Fitted(Point(mechanism.start, ()), np.zeros((0, 1)), 0.0, ()), weighting)
     assert np.isnan(folds.position_rms(model)).all()
     assert folds.lower(model, model)

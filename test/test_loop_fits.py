@@ -14,7 +14,7 @@ from loop_logs import pieces, record
 
 from puma_sim_core.effects import KINDS, Effect, parse_effect
 from puma_sim_core.identify import explain
-from puma_sim_core.identify.fitting.prediction import Point, PredictionFit, _bounded_step
+from puma_sim_core.identify.fitting.prediction import Point, PredictionFit, bounded_step
 from puma_sim_core.identify.fitting.trials import Base, Trials
 from puma_sim_core.identify.screening.evidence import Scored
 from puma_sim_core.identify.selection.refits import Refits
@@ -48,7 +48,7 @@ def test_a_fit_comes_to_the_place(text, off):
     true = parse_effect(text)
     log = record(PENDULUM, PENDULUM.plant(effects=(true,)), volts=NOISE, noise=1e-5)
     _, _, predictor = pieces(PENDULUM, log, NOISE, 1e-5)
-    weighting = predictor.white_weighting(predictor.errors(PENDULUM.plant(effects=(true,))))
+    weighting = predictor.unfiltered_weighting(predictor.errors(PENDULUM.plant(effects=(true,))))
     fit = PredictionFit(predictor, weighting)
     start = Effect(true.kind, 1, {name: value + off.get(name, 0.0) for name, value in true.values.items()})
     found = fit.run(Point(PENDULUM.start, (start,)), [(0, name) for name in off], rounds=8)
@@ -66,7 +66,7 @@ def test_a_fit_comes_back_from_where_parameters_took_the_place_of_an_effect():
     true = Point(PENDULUM.start, (friction,))
     far = Point(PENDULUM.clip(PENDULUM.start + 3.0 * PENDULUM.deviations), true.effects)
     pairs = ((0, "torque"),)
-    known = fit.white(fit.derivatives(true, pairs))
+    known = fit.whitened(fit.derivatives(true, pairs))
     stopped = fit.run(far, (), jacobian=known, frozen=pairs, rounds=0)
     back = fit.from_start(stopped, known)
     assert back.objective < stopped.objective
@@ -124,7 +124,7 @@ def test_a_bounded_step_is_the_least_that_its_bounds_allow(seed):
     rng = np.random.default_rng(seed)
     A = rng.standard_normal((8, 5))
     normal, gradient = A.T @ A, 20.0 * rng.standard_normal(5)
-    step = _bounded_step(normal, gradient, 2)
+    step = bounded_step(normal, gradient, 2)
     held = np.abs(step) == FITTING.greatest_step
     assert held[2:].any() and not held[:2].any() and np.all(np.abs(step[2:]) <= FITTING.greatest_step)
     # nothing is gained by moving what is not held
@@ -137,7 +137,7 @@ def fit_of(mechanism, effect, seconds=1.0):
     log = record(mechanism, plant, volts=NOISE, noise=1e-5, seconds=seconds)
     _, _, predictor = pieces(mechanism, log, NOISE, 1e-5)
     raw = predictor.errors(plant)
-    return PredictionFit(predictor, predictor.white_weighting(raw)), raw
+    return PredictionFit(predictor, predictor.unfiltered_weighting(raw)), raw
 
 
 def lacking(effect):
@@ -145,11 +145,11 @@ def lacking(effect):
     plant = PENDULUM.plant(effects=(effect,))
     log = record(PENDULUM, plant, volts=NOISE, noise=1e-5)
     problem, _, predictor = pieces(PENDULUM, log, NOISE, 1e-5)
-    fit = PredictionFit(predictor, predictor.white_weighting(predictor.errors(plant)))
+    fit = PredictionFit(predictor, predictor.unfiltered_weighting(predictor.errors(plant)))
     base = fit.run(Point(PENDULUM.start, ()), (), rounds=8)
     raw = fit.derivatives(base.point, ())
     state = SelectionState(base, raw, fit.weighting)
-    return Base(fit, base, fit.white(raw)), Trials(predictor, problem), state
+    return Base(fit, base, fit.whitened(raw)), Trials(predictor, problem), state
 
 
 def limited():
@@ -157,7 +157,7 @@ def limited():
     selection, and a function of a limit [V] and parameters -> the trial from there."""
     limit = parse_effect("voltage_saturation:joint=1,voltage=4.2")
     base, trials, state = lacking(limit)
-    scored = Scored("voltage_saturation", 1, 0.0, 0.0, None, None, None, {"voltage": 4.2}, price=3.0)
+    scored = Scored("voltage_saturation", 1, 0.0, values={"voltage": 4.2}, occam=3.0)
 
     def tried(value, theta):
         return trials.run(base, scored, Point(theta, (Effect(limit.kind, 1, {"voltage": value}),)))
@@ -198,7 +198,7 @@ def test_a_bump_that_came_out_as_nothing_is_tried_again_as_machines_have_it():
 
     def tried(text):
         effect = parse_effect(text)
-        scored = Scored(effect.kind.name, 1, 0.0, 0.0, None, None, None, dict(effect.values))
+        scored = Scored(effect.kind.name, 1, 0.0, values=dict(effect.values))
         start = Point(PENDULUM.start, (effect,))
         return trials.run(base, scored, start)
 

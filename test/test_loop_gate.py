@@ -17,7 +17,7 @@ from gate_support import SERVO, moves, record, waves
 
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.identify.checks.gate import check
-from puma_sim_core.identify.data.ingest import parse_columns, read_log
+from puma_sim_core.identify.data.ingest import read_log
 from puma_sim_core.identify.data.log import Log
 from puma_sim_core.plant.mechanism_file import load_mechanism
 
@@ -109,13 +109,13 @@ def test_a_lag_of_fast_motion_is_no_wrong_scale(tmp_path):
 
 @pytest.mark.skipif(DATA is None, reason="PUMA_SIM_DATA names no folder")
 def test_measured_logs_have_no_fault():
-    columns = parse_columns("time=t_s,voltage1=motor_V,position1=q_rad,enable=torque_enable")
+    columns = {"time": "t_s", "voltage1": "motor_V", "position1": "q_rad", "enable": "torque_enable"}
     runs = sorted(Path(DATA, "xl330_pendulum").glob("*.csv"))
     assert len(runs) == 8
     for run in runs:
         assert check(read_log(run, columns, 1), PENDULUM)[0] == []
     slide = read_log(
-        Path(DATA, "emps", "emps_train.csv"), parse_columns("time=t_s,voltage1=vir_V,position1=q_meas_m"), 1
+        Path(DATA, "emps", "emps_train.csv"), {"time": "t_s", "voltage1": "vir_V", "position1": "q_meas_m"}, 1
     )
     assert check(slide, SLIDE)[0] == []
     assert check(read_log(runs[-1], columns, 1), SLIDE)[0]

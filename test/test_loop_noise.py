@@ -13,7 +13,7 @@ from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.fitting import intervals
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
 from puma_sim_core.identify.fitting.predictor import Predictor
-from puma_sim_core.identify.noise import colour
+from puma_sim_core.identify.noise import innovations
 from puma_sim_core.identify.noise.weighting import Weighting
 from puma_sim_core.identify.residuals import shape
 from puma_sim_core.plant.mechanism_file import load_mechanism
@@ -54,14 +54,14 @@ def test_a_filter_of_minimum_phase_has_the_inverse_spectrum_and_the_greatest_fir
     turn = np.exp(-2j * np.pi * frequency * STEP)
     known = np.array([0.7, -0.4, 0.1])  # zeros within the unit circle, so of minimum phase
     spectrum = 2.0 * STEP / np.abs(np.polynomial.polynomial.polyval(turn, known)) ** 2
-    taps = colour._whitening(spectrum, STEP, 4096)
+    taps = innovations._whitening(spectrum, STEP, 4096)
     assert np.abs(taps[:3] - known).max() < 1e-9
     assert np.abs(taps[3:]).max() < 1e-9
 
 
 def test_noise_that_lasts_is_made_white_and_of_variance_one(predictor):
     errors = np.column_stack([lasting(predictor, j, 10 + j) for j in range(3)])
-    white = colour.weighting(predictor, errors)(errors)[2000:]
+    white = innovations.weighting(predictor, errors)(errors)[2000:]
     for j in range(3):
         e = white[:, j]
         assert e.var() == pytest.approx(1.0, abs=0.12)
@@ -77,8 +77,8 @@ def test_a_line_is_not_taken_for_noise(predictor):
     time = STEP * np.arange(len(errors))
     line = errors.copy()
     line[:, 1] += 3.0 * errors[:, 1].std() * np.sin(2.0 * np.pi * 6.0 * time)
-    before = colour.weighting(predictor, errors)(errors)[:, 1].std()
-    with_line = colour.weighting(predictor, line)
+    before = innovations.weighting(predictor, errors)(errors)[:, 1].std()
+    with_line = innovations.weighting(predictor, line)
     assert with_line(errors)[:, 1].std() == pytest.approx(before, rel=0.1)
     # of white noise this is about 1
     wave = np.exp(-2j * np.pi * 6.0 * time) / np.sqrt(len(time))
@@ -89,8 +89,8 @@ def test_a_line_is_not_taken_for_noise(predictor):
 def test_what_was_filtered_before_is_undone(predictor):
     errors = np.column_stack([lasting(predictor, j, 30 + j) for j in range(3)])
     before = Weighting(np.array([[1.0, -0.6]] * 3), np.array([2e-5] * 3), predictor.lengths)
-    straight = colour.weighting(predictor, errors)(errors)
-    undone = colour.weighting(predictor, before(errors), before)(errors)
+    straight = innovations.weighting(predictor, errors)(errors)
+    undone = innovations.weighting(predictor, before(errors), before)(errors)
     assert np.abs(undone - straight)[2000:].std() < 0.1
 
 
@@ -136,9 +136,9 @@ def test_a_profile_is_the_interval_of_a_quadratic_and_wider_where_the_likelihood
     arm = predictor.mechanism
     effect = parse_effect("voltage_offset:joint=2,voltage=0.05")
     raw = predictor.errors(arm.plant(arm.start, (effect,)))
-    fit = PredictionFit(predictor, predictor.white_weighting(raw))
+    fit = PredictionFit(predictor, predictor.unfiltered_weighting(raw))
     found = fit.run(Point(arm.start, (effect,)), ((0, "voltage"),), rounds=4)
-    jacobian = fit.white(fit.derivatives(found.point, found.names))
+    jacobian = fit.whitened(fit.derivatives(found.point, found.names))
     found = Fitted(found.point, found.errors, found.objective, found.names, jacobian)
     spread, wider = (each[0] for each in intervals.deviations(fit, found))
     for sign in (-1.0, 1.0):

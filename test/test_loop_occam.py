@@ -40,7 +40,7 @@ def factor_of(text: str, spread: dict[str, float], others: int = 2) -> float:
     point, names = Point(np.zeros(others), (effect,)), tuple((0, name) for name in spread)
     sizes = Fit().sizes(point, names)
     jacobian = np.diag(np.r_[np.ones(others), np.array(sizes) / np.array([*spread.values()])])
-    scored = Scored(effect.kind.name, effect.joint, 0.0, 0.0, None, None, None, dict(effect.values))
+    scored = Scored(effect.kind.name, effect.joint, 0.0, values=dict(effect.values))
     return occam.factor(scored, Fit(), Fitted(point, np.zeros((1, 3)), 0.0, names, jacobian))
 
 
@@ -126,5 +126,5 @@ def test_coordinates_are_finite_wherever_the_parameters_are_legal(name):
 
 @pytest.mark.parametrize("screened, count, wanted", [(-2.0, 2, 3.0), (4.0, 1, 4.0), (80.0, 1, 6.0), (80.0, 3, 18.0)])
 def test_an_occam_factor_of_the_screening_is_bounded_by_those_of_its_coefficients(screened, count, wanted):
-    scored = Scored("payload", None, 10.0, 10.0, None, None, None, {str(n): 1.0 for n in range(count)}, None, screened)
+    scored = Scored("payload", None, 10.0, values={str(n): 1.0 for n in range(count)}, occam=screened)
     assert occam.screened(scored) == wanted

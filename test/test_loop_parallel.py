@@ -52,7 +52,7 @@ def test_derivatives_have_the_same_bits_on_any_number_of_cores(monkeypatch):
     for cores in (1, 4):
         monkeypatch.setattr(parallel, "CORES", cores)
         predictor = Predictor([log], arm, [lambda t: t > 1e9], np.full(3, 0.05), np.full(3, 3e-5))
-        fit = PredictionFit(predictor, predictor.white_weighting(predictor.errors(plant)))
+        fit = PredictionFit(predictor, predictor.unfiltered_weighting(predictor.errors(plant)))
         found.append(fit.derivatives(Point(arm.start * 1.01, plant.effects[-1:]), [(0, "torque"), (0, "stiffness")]))
     assert np.abs(found[0]).max() > 0.0
     np.testing.assert_array_equal(*found)

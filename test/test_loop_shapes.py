@@ -5,8 +5,6 @@ which the log knows nothing."""
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from loop_logs import pieces, record
@@ -15,6 +13,7 @@ from puma_sim_core.identify import explain
 from puma_sim_core.identify.fitting.prediction import Fitted, Point
 from puma_sim_core.identify.residuals.shape import Curve, again, noise, simplest_first
 from puma_sim_core.identify.residuals.unnamed import Unnamed
+from puma_sim_core.identify.screening.evidence import Estimate, Scored
 from puma_sim_core.plant.mechanism_file import load_mechanism
 
 pytestmark = pytest.mark.timeout(600)
@@ -52,18 +51,19 @@ def test_a_line_in_time_stays_the_same_in_another_noise():
     point = Point(ARM.start, ())
     causal, found = unnamed._about(Fitted(point, np.zeros(0), 0.0, ()))
     line = next(c for c in found if c.scored.name == "line")
-    frequency = line.scored.entry.candidate.grid["frequency"]
+    frequency = line.candidate.grid["frequency"]
     assert line.scored.joint == 1 and frequency == pytest.approx(6.0, abs=0.15)
     other = unnamed._causal(point, (), noise(causal, found))
     there = again(other, line)
-    assert there.scored.entry.candidate.grid["frequency"] == frequency
+    assert there.candidate.grid["frequency"] == frequency
     assert there.scored.gain > 20.0
     assert np.ptp(there.volts(other)[:, 0]) == pytest.approx(1.0, rel=0.25)
     assert not there.volts(other)[:, 1:].any()
 
 
 def curve(joint, gain, knots):
-    return Curve(SimpleNamespace(joint=joint, gain=gain, coefficients=np.zeros(knots)), None, [])
+    estimate = Estimate(gain, None, np.zeros(knots), None, gain)
+    return Curve(Scored("position", joint, gain, estimate), None, [])
 
 
 def test_of_curves_that_gain_nearly_the_same_the_simplest_stands_first():

@@ -15,7 +15,7 @@ from scipy.linalg import solve_discrete_lyapunov
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.data.sampling import sample
-from puma_sim_core.identify.fitting.predictor import _settled, stable_step
+from puma_sim_core.identify.fitting.predictor import stable_step, stationary_covariance
 from puma_sim_core.identify.screening.problem import Problem
 from puma_sim_core.identify.selection.validate import position_floor, rms
 from puma_sim_core.identify.settings import SELECTION
@@ -115,7 +115,7 @@ def test_what_noise_settles_at_solves_its_equation(radius):
     rng = np.random.default_rng(7)
     A, B = rng.standard_normal((2, 3, 3))
     A *= radius / np.abs(np.linalg.eigvals(A)).max()
-    P = _settled(A, B @ B.T)
+    P = stationary_covariance(A, B @ B.T)
     assert np.abs(A @ P @ A.T + B @ B.T - P).max() < 1e-12 * np.abs(P).max()
     assert np.allclose(P, solve_discrete_lyapunov(A, B @ B.T), rtol=1e-9)
 
@@ -150,16 +150,16 @@ def test_a_state_that_does_not_stay_finite_counts_as_far_off():
 
 
 @pytest.mark.parametrize("height", [50.0, 6.0])  # more of power than all others, and a peak alone
-def test_blocks_lie_where_rows_kept_back_are_like_the_others(height):
+def test_validation_blocks_lie_where_rows_are_like_the_others(height):
     mechanism = load_mechanism("pendulum")
     problem = Problem(sample([record(mechanism, mechanism.plant())]), mechanism)
     quiet = np.ones((len(problem.kept), 1))
     assert problem.like(quiet) is problem
     blow = quiet.copy()
-    centre = np.flatnonzero(problem.held)[3]
+    centre = np.flatnonzero(problem.validation)[3]
     blow[centre - 1 : centre + 2] = height
     other = problem.like(blow)
-    assert other is not problem and not (other.held | other.guard)[centre - 1 : centre + 2].any()
-    assert abs(other.held.mean() - problem.held.mean()) < 0.05
-    kept = Problem(problem.sampled, mechanism, (), hold_back=False)
+    assert other is not problem and not (other.validation | other.guard)[centre - 1 : centre + 2].any()
+    assert abs(other.validation.mean() - problem.validation.mean()) < 0.05
+    kept = Problem(problem.sampled, mechanism, (), blocks=False)
     assert kept.like(blow) is kept

@@ -11,9 +11,10 @@ import pytest
 from cli_support import call
 from mechanism_support import NAMES, pendulum, pendulum_mapping, signals_of
 from numpy.testing import assert_allclose
+from trace_form import arm_table, trace_coriolis, trace_gravity, trace_inertia
 
 from puma_sim_core.arm.kinematics import first_derivatives
-from puma_sim_core.arm.rigid_body import arm_pseudo_inertias, arm_table, trace_coriolis, trace_gravity, trace_inertia
+from puma_sim_core.arm.rigid_body import arm_pseudo_inertias
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.errors import ModelError, ParameterError, PumaSimError
 from puma_sim_core.files import yaml_text
@@ -84,9 +85,8 @@ def test_derivatives_are_those_of_differences(name):
     theta = moved(mechanism)
     q, qd, qdd = motion(mechanism.joints, 12)
     torque = mechanism.torque_jacobian(theta, q, qd, qdd)
-    volts = mechanism.voltage_jacobian(theta, q, qd, qdd)
     drive = mechanism.drive_jacobian(theta)
-    assert torque.shape == (12, mechanism.joints, len(theta)) == volts.shape
+    assert torque.shape == (12, mechanism.joints, len(theta))
     for n in range(len(theta)):
         step = np.zeros_like(theta)
         step[n] = 1e-5 * theta[n]
@@ -97,7 +97,6 @@ def test_derivatives_are_those_of_differences(name):
 
         for exact, function in (
             (torque[:, :, n], lambda t: mechanism.total_torque(t, q, qd, qdd)),
-            (volts[:, :, n], lambda t: mechanism.model_voltage(t, q, qd, qdd)),
             *(
                 (getattr(drive, key)[:, n], lambda t, key=key: getattr(mechanism.drive(t), key))
                 for key in drive._fields

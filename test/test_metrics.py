@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from puma_sim_core.control.metrics import effort, joint_step_quality, setpoint_step, step_quality, tracking_error
+from puma_sim_core.control.metrics import effort, step_quality, tracking_error
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.recording.recording import Recording
 
@@ -70,11 +70,11 @@ def test_responses_that_do_not_arrive_are_infinite():
         (([0.0, 1.0], [0.0, 1.0], 1.0, 1.0), {}, "from 1 to 1: there is no step; expected a start and"),
         (([0.0, 1.0], [0.0, 1.0], 0.0, 0.0), {}, "there is no step"),
         (([0.0, 1.0], [0.0, 1.0], 1.0, 1.0 + 1e-15), {}, "there is no step"),
-        (([0.0, 1.0], [0.0, math.nan], 0.0, 1.0), {}, "values that are not finite"),
-        (([0.0, 1.0], [0.0, 1.0], 0.0, math.inf), {}, "values that are not finite"),
-        (([0.0, 0.0], [0.0, 1.0], 0.0, 1.0), {}, "increasing times"),
-        (([0.0], [0.0], 0.0, 1.0), {}, "increasing times"),
-        (([0.0, 1.0], [0.0, 1.0, 2.0], 0.0, 1.0), {}, "two equal"),
+        (([0.0, 1.0], [0.0, math.nan], 0.0, 1.0), {}, "expected (two )?finite numbers"),
+        (([0.0, 1.0], [0.0, 1.0], 0.0, math.inf), {}, "expected (two )?finite numbers"),
+        (([0.0, 0.0], [0.0, 1.0], 0.0, 1.0), {}, "two at least, increasing"),
+        (([0.0], [0.0], 0.0, 1.0), {}, "two at least, increasing"),
+        (([0.0, 1.0], [0.0, 1.0, 2.0], 0.0, 1.0), {}, "time of shape"),
         (([0.0, 1.0], [0.0, 1.0], 0.0, 1.0), {"at": 3.0}, "no samples after 3 s"),
         (([0.0, 1.0], [0.0, 1.0], 0.0, 1.0), {"band": 0.0}, "band 0.0; expected between 0 and 1"),
     ],
@@ -87,23 +87,6 @@ def test_ill_posed_steps_are_named(arguments, options, message):
 def recording(**columns):
     time = np.linspace(0.0, 1.0, 5)
     return Recording(time=time, **columns)
-
-
-def test_the_step_of_a_setpoint_is_found():
-    setpoint = np.zeros((5, 3))
-    setpoint[2:, 1] = 0.4
-    setpoint[:, 2] = np.arange(5)
-    position = np.zeros((5, 3))
-    position[3:, 1] = 0.5
-    run = recording(setpoint=setpoint, position=position)
-    assert setpoint_step(run, 2) == (0.5, 0.0, 0.4)
-    found = joint_step_quality(run, 2)
-    assert found.overshoot == pytest.approx(0.25) and found.settling_time == math.inf
-    for joint, message in ((1, "changes 0 times; expected one step"), (3, "changes 4 times")):
-        with pytest.raises(ParameterError, match=message):
-            joint_step_quality(run, joint)
-    with pytest.raises(ParameterError, match="without setpoints"):
-        setpoint_step(recording(position=position), 1)
 
 
 def test_tracking_errors_are_those_of_their_definition():

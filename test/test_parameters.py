@@ -17,7 +17,6 @@ import yaml
 from puma_sim_core.arm.arm import Link
 from puma_sim_core.arm.parameters import (
     check_parameters,
-    dump_parameters,
     from_mapping,
     load_parameters,
     parameter_sets,
@@ -26,6 +25,7 @@ from puma_sim_core.arm.parameters import (
 )
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.errors import ParameterError
+from puma_sim_core.files import write_yaml
 from puma_sim_core.resources import config_path
 
 SETS = ["bejczy", "armstrong", "average", "corke_armstrong_1994", "paul", "tuned"]
@@ -213,13 +213,13 @@ def test_mapping_gives_back_an_equal_value(arm):
 
 
 def test_file_gives_back_an_equal_value(arm, tmp_path):
-    dump_parameters(arm, tmp_path / "arm.yaml")
+    write_yaml(to_mapping(arm), tmp_path / "arm.yaml")
     again = load_parameters(tmp_path / "arm.yaml")
     assert again == arm
     assert {key: text for key, (_, text) in again.sources.items()} == {
         key: text for key, (_, text) in arm.sources.items()
     }
-    dump_parameters(again, tmp_path / "again.yaml")
+    write_yaml(to_mapping(again), tmp_path / "again.yaml")
     assert (tmp_path / "again.yaml").read_bytes() == (tmp_path / "arm.yaml").read_bytes()
 
 
@@ -232,7 +232,7 @@ def test_every_digit_survives_the_file(tmp_path):
         links=(*arm.links[:2], replace(arm.links[2], mass=mass)),
         joint_ranges=((-1e-3, 2e-30), *arm.joint_ranges[1:]),
     )
-    dump_parameters(changed, tmp_path / "arm.yaml")
+    write_yaml(to_mapping(changed), tmp_path / "arm.yaml")
     assert load_parameters(tmp_path / "arm.yaml") == changed
 
 
@@ -254,16 +254,6 @@ def test_angles_may_be_degrees_and_numbers_of_other_yaml_spellings(mapping, tmp_
     assert load_parameters(path) == load_parameters("bejczy")
     mapping["joint_ranges"]["joint1"] = {"value": [-90, 180], "unit": "deg"}
     assert from_mapping(mapping).joint_ranges[0] == (-math.pi / 2, math.pi)
-
-
-def test_a_failed_write_leaves_the_former_file(tmp_path):
-    path = tmp_path / "folder"
-    path.mkdir()
-    with pytest.raises(ParameterError, match="cannot be written"):
-        dump_parameters(load_parameters("bejczy"), path)
-    with pytest.raises(ParameterError, match="cannot be written"):
-        dump_parameters(load_parameters("bejczy"), tmp_path / "missing" / "arm.yaml")
-    assert list(tmp_path.iterdir()) == [path] and not list(path.iterdir())
 
 
 # ----------------------------------------------------------------------------------- bad input
@@ -302,15 +292,15 @@ def put(mapping, path, value):
         ("links.link2.mass.value", 10**400, "expected a finite number"),
         ("links.link2.centre.value", [0.1, 0.2], "[0.1, 0.2]; expected 3 finite numbers"),
         ("links.link2.centre.value", 0.1, "0.1; expected 3 finite numbers"),
-        ("links.link2.centre.value", [0.1, math.inf, 0], "inf; expected 3 finite numbers"),
-        ("links.link2.centre.value", [0.1, "x", 0], "'x'; expected 3 finite numbers"),
+        ("links.link2.centre.value", [0.1, math.inf, 0], "inf; expected a finite number"),
+        ("links.link2.centre.value", [0.1, "x", 0], "'x'; expected a finite number"),
         ("joint_ranges.joint2.value", [1.0], "[1.0]; expected 2 finite numbers"),
         ("joint_ranges.joint2.value", [1.0, -1.0], "joint_ranges.joint2: from 1.0 to -1.0 rad"),
         ("links.link1.mass.value", 0, "links.link1.mass: 0.0; expected a number above 0 kg"),
         ("motors.joint2.inductance.value", -1e-3, "motors.joint2.inductance: -0.001; expected a"),
         ("motors.joint2.gear_ratio.value", -107.81, "motors.joint2.gear_ratio: -107.81; expected a"),
         ("motors.joint2.inertia.value", -2.0, "motors.joint2.inertia: -2.0; expected no number below"),
-        ("gravity.value", -9.81, "gravity: -9.81; expected 0 or more m/s^2"),
+        ("gravity.value", -9.81, "gravity: -9.81; expected no number below 0 m/s^2"),
         ("links", [1, 2, 3], "links: [1, 2, 3]; expected a mapping with the keys link1, link2, link3"),
         ("name", 7, "name: 7; expected text"),
         ("links.link1.mass.source", 3, "links.link1.mass.source: 3; expected text"),
@@ -445,7 +435,7 @@ def test_numbers_that_overflow_are_refused():
     [
         ({"links": ()}, "links.link: 0 entries"),
         ({"motors": ()}, "motors.joint: 0 entries"),
-        ({"joint_ranges": ()}, "joint_ranges: 0 entries"),
+        ({"joint_ranges": ()}, "joint_ranges.joint: 0 entries"),
         ({"a3": "short"}, "geometry.a3: 'short'"),
     ],
 )

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from arm_reference import bits, plant_of
 
-from puma_sim_core.dynamics.pid import Pid, PidGains, gains_of_recursive, recursive_coefficients
-from puma_sim_core.dynamics.servo import ServoConfig
 from puma_sim_core.errors import ParameterError
+from puma_sim_core.servo.pid import Pid, PidGains, gains_of_recursive, recursive_coefficients
+from puma_sim_core.servo.servo import ServoConfig
 from puma_sim_core.simulation.session import Session, SessionConfig
 from puma_sim_core.simulation.simulator import SERVO_PERIOD, Simulator
 

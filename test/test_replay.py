@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 from arm_reference import plant_of
 
-from puma_sim_core.dynamics.servo import ServoConfig
 from puma_sim_core.errors import BagError, CommandError
 from puma_sim_core.files import parse_yaml, yaml_text
 from puma_sim_core.jit import BACKEND
 from puma_sim_core.recording.bag import BagRecorder, RecordedCommand, read_bag
+from puma_sim_core.servo.servo import ServoConfig
 from puma_sim_core.simulation.replay import replay
 from puma_sim_core.simulation.session import Session, SessionConfig
 

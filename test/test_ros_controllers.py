@@ -14,12 +14,12 @@ pytest.importorskip("rclpy")
 
 from ros_support import Node, Peer, arguments, run_program
 
-from puma_sim_core.dynamics.pid import PidGains
-from puma_sim_core.dynamics.servo import ServoConfig
 from puma_sim_core.plant.plant import Plant
 from puma_sim_core.recording.bag import read_bag
 from puma_sim_core.recording.recording import read_csv
 from puma_sim_core.resources import config_path
+from puma_sim_core.servo.pid import PidGains
+from puma_sim_core.servo.servo import ServoConfig
 from puma_sim_core.simulation.replay import replay, session_of
 from puma_sim_core.simulation.session import Session, SessionConfig
 
@@ -31,7 +31,7 @@ def target_of(step):
     return tuple(q + 0.01 * step * by for q, by in zip(START, (1.0, -0.8, 0.5)))
 
 
-def follow(peer, session):
+def assert_follows(peer, session):
     """Steps with a setpoint each; the node's states are those of the session, to the last bit."""
     for step in range(STEPS):
         peer.send(*target_of(step))
@@ -54,7 +54,7 @@ def test_the_node_runs_a_controller_and_its_bag_replays(kind, tmp_path):
     ):
         peer.find_simulator()
         config = SessionConfig(Plant.of(), command_interface="position", initial_position=START, controller=kind)
-        follow(peer, Session(config))
+        assert_follows(peer, Session(config))
     # each reset starts a bag; the last one has the steps
     last = max(tmp_path.glob("bag*"), key=lambda path: len(read_bag(path).steps))
     found, _ = session_of(last, read_bag(last).config_text)
@@ -94,7 +94,7 @@ def test_controller_and_servo_change_at_a_reset_and_bags_tell_which(tmp_path):
             False,
         )
         common = {"command_interface": "position", "initial_position": START, "servo": servo}
-        follow(peer, Session(SessionConfig(Plant.of(), **common)))
+        assert_follows(peer, Session(SessionConfig(Plant.of(), **common)))
         (result,) = peer.set(controller="computed_torque")
         assert result.successful
         (result,) = peer.set(controllers_file=str(file))
@@ -103,7 +103,7 @@ def test_controller_and_servo_change_at_a_reset_and_bags_tell_which(tmp_path):
         config = SessionConfig(
             Plant.of(), controller="computed_torque", controller_settings=other["servo"]["computed_torque"], **common
         )
-        follow(peer, Session(config))
+        assert_follows(peer, Session(config))
         (result,) = peer.set(controller="pid")
         assert not result.successful and "given with controller pid" in result.reason
     bags = [path for path in tmp_path.glob("bag*") if len(read_bag(path).steps) == STEPS + 1]
@@ -144,8 +144,8 @@ def test_an_external_controller_that_cannot_be_is_named():
 
 
 def test_the_files_of_parameters_have_the_defaults_of_the_nodes():
-    from puma_sim_ros import node_parameters
     from puma_sim_ros.external_controller import PARAMETERS as external
+    from puma_sim_ros.node_parameters import PARAMETERS as node
 
     def flat(values, prefix=""):
         for name, value in values.items():
@@ -154,9 +154,9 @@ def test_the_files_of_parameters_have_the_defaults_of_the_nodes():
             else:
                 yield f"{prefix}{name}", value
 
-    for file, node, defaults in (
-        ("sim_node.yaml", "/**/sim_node", {d.name: d.default for d in node_parameters.PARAMETERS}),
-        ("external_controller.yaml", "/**/external_controller", external),
+    for program, defaults in (
+        ("sim_node", {name: entry["default"] for name, entry in node.items()}),
+        ("external_controller", external),
     ):
-        found = yaml.safe_load(config_path(file).read_text())[node]["ros__parameters"]
+        found = yaml.safe_load(config_path(f"{program}.yaml").read_text())[f"/**/{program}"]["ros__parameters"]
         assert dict(flat(found)) == defaults

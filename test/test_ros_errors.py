@@ -60,7 +60,7 @@ def test_bad_parameters_end_the_node_with_one_clear_line(refusals, case):
     assert "Traceback" not in done.stderr
 
 
-def refused_bag(path):
+def assert_bag_refused(path):
     done = run_program("puma_sim_ros.sim_node", *arguments({"bag_path": path}))
     assert done.returncode == 2, done.stderr
     (line,) = done.stderr.strip().splitlines()
@@ -72,14 +72,14 @@ def test_a_bag_path_that_exists_is_refused_and_left_alone(tmp_path):
     bag = tmp_path / "bag"
     bag.mkdir()
     (bag / "precious").write_text("data")
-    assert "exists" in refused_bag(bag)
+    assert "exists" in assert_bag_refused(bag)
     assert [path.name for path in bag.iterdir()] == ["precious"]
 
 
 def test_a_bag_path_that_cannot_be_written_is_refused(tmp_path):
-    assert "directory" in refused_bag(tmp_path / "nowhere" / "bag")
+    assert "directory" in assert_bag_refused(tmp_path / "nowhere" / "bag")
     (tmp_path / "file").write_text("")
-    refused_bag(tmp_path / "file" / "bag")
+    assert_bag_refused(tmp_path / "file" / "bag")
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 

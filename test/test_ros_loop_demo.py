@@ -14,13 +14,17 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from ros_support import Node, Peer, environment, run_program, step_of
+from ros_support import ROOT, Node, Peer, environment, run_program, step_of
 
 from puma_sim_core.identify.data import bag_log
 from puma_sim_core.identify.data.ingest import read_log
 from puma_sim_core.plant.mechanism_file import load_mechanism
 from puma_sim_core.plant.model_file import load_model
-from puma_sim_ros.exciting_motion import MIDDLE, expected_volts, motion
+
+LOOP = ROOT / "examples" / "sessions" / "loop.py"
+sys.path.insert(0, str(LOOP.parent))
+
+from exciting_motion import MIDDLE, expected_volts, motion
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(600)]
 
@@ -32,11 +36,7 @@ def demonstrated(tmp_path_factory):
     # explain is compiled where it can be: interpreted it would take minutes
     variables = {name: value for name, value in environment().items() if name != "PUMA_SIM_KERNEL"}
     done = subprocess.run(
-        [sys.executable, "-m", "puma_sim_ros.loop_demo", "--out", str(out)],
-        env=variables,
-        text=True,
-        capture_output=True,
-        timeout=500,
+        [sys.executable, str(LOOP), "--out", str(out)], env=variables, text=True, capture_output=True, timeout=500
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return out, done.stdout
@@ -117,6 +117,6 @@ def test_the_motion_excites_all_joints_within_their_ranges(seed):
 
 
 def test_it_says_what_cannot_be(tmp_path):
-    done = run_program("puma_sim_ros.loop_demo", "--out", str(tmp_path), "--effect", "gremlin")
+    done = run_program(LOOP, "--out", str(tmp_path), "--effect", "gremlin")
     assert done.returncode == 1 and "gremlin" in done.stderr and "Traceback" not in done.stderr
     assert not list(tmp_path.iterdir())

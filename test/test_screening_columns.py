@@ -178,10 +178,10 @@ def test_column_is_the_voltage_that_is_missing(plain, name, joint, coefficients,
     signals = as_signals(recorded(effect_of(name, joint, values)))
     candidate = choose(signals)
     assert candidate.values(np.array(coefficients)) == pytest.approx(values)
-    compare(residual(signals), volts(signals, candidate, coefficients), signals, tolerance)
+    assert_close(residual(signals), volts(signals, candidate, coefficients), signals, tolerance)
 
 
-def compare(missing, expected, signals, tolerance, start=0.05):
+def assert_close(missing, expected, signals, tolerance, start=0.05):
     """Both through the screening's filter, without the ends, agree within a share of the size."""
     inside = slice(int(start / STEP), -200)
     missing, expected = (smoothed(values, signals)[inside] for values in (missing, expected))
@@ -243,7 +243,7 @@ def test_columns_of_an_encoder_offset(joint):
     signals = sensed(run, joint, run.position[:, joint] + 0.04, run.velocity[:, joint], run.acceleration[:, joint])
     (candidate,) = KINDS["encoder_offset"].screening.candidates(signals, joint)
     assert candidate.values(np.array([0.04])) == {"angle": 0.04}
-    compare(residual(signals), volts(signals, candidate, [0.04]), signals, 0.06)
+    assert_close(residual(signals), volts(signals, candidate, [0.04]), signals, 0.06)
 
 
 def test_joint_1_shows_no_offset_of_its_encoder(plain):
@@ -267,7 +267,7 @@ def test_columns_of_a_sensor_that_is_not_straight(plain):
         qd * (1.0 + a * w * np.cos(angle)),
         qdd * (1.0 + a * w * np.cos(angle)) - a * w * w * qd**2 * np.sin(angle),
     )
-    compare(residual(signals), volts(signals, choose(signals), [0.0012, -0.0009]), signals, 0.05)
+    assert_close(residual(signals), volts(signals, choose(signals), [0.0012, -0.0009]), signals, 0.05)
 
 
 def test_column_of_a_lagging_sensor():
@@ -277,7 +277,7 @@ def test_column_of_a_lagging_sensor():
     signals = sensed(run, joint, *motion)
     (candidate,) = KINDS["sensor_lag"].screening.candidates(signals, joint)
     assert candidate.values(np.array([T])) == {"time_constant": T}
-    compare(residual(signals), volts(signals, candidate, [T]), signals, 0.05)
+    assert_close(residual(signals), volts(signals, candidate, [T]), signals, 0.05)
 
 
 def lagged(values, T):
@@ -299,7 +299,7 @@ def test_columns_of_a_gear_that_is_not_round(plain):
     values = choose(plain).values(np.array([3e-4, 4e-4]))
     assert values["amplitude"] == pytest.approx(5e-4)
     signals = as_signals(recorded(effect_of("transmission_error", joint, values)))
-    compare(residual(signals), volts(signals, choose(signals), [3e-4, 4e-4]), signals, 0.08)
+    assert_close(residual(signals), volts(signals, choose(signals), [3e-4, 4e-4]), signals, 0.08)
 
 
 @pytest.mark.parametrize("joint, stiffness", [(0, 2e4), (2, 5e3)])
@@ -311,7 +311,7 @@ def test_column_of_an_elastic_drive(plain, joint, stiffness):
     candidate = choose(signals)
     assert candidate.fixed
     # the log begins in motion, of which the twist at the beginning is not known
-    compare(residual(signals), volts(signals, candidate, [1.0]), signals, 0.1, start=1.5)
+    assert_close(residual(signals), volts(signals, candidate, [1.0]), signals, 0.1, start=1.5)
 
 
 def test_column_of_a_drive_with_play(plain):
@@ -319,7 +319,7 @@ def test_column_of_a_drive_with_play(plain):
     choose = at("backlash", joint, {"gap": 1e-3})
     values = choose(plain).values(np.ones(1))
     signals = as_signals(recorded(effect_of("backlash", joint, values)))
-    compare(residual(signals), volts(signals, choose(signals), [1.0]), signals, 0.25, start=0.5)
+    assert_close(residual(signals), volts(signals, choose(signals), [1.0]), signals, 0.25, start=0.5)
 
 
 @pytest.mark.parametrize("level, legal", [(3.0, True), (-0.3, True), (-0.5, False)])

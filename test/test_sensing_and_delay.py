@@ -15,11 +15,11 @@ from scipy.integrate import solve_ivp
 from test_effect_library import HOLD, LIBRARY, START, VISCOUS
 
 from puma_sim_core.dynamics.laws import SENSED
-from puma_sim_core.dynamics.pid import Pid
 from puma_sim_core.dynamics.sensed import settled_positions, true_motion
-from puma_sim_core.dynamics.servo import ServoConfig
 from puma_sim_core.files import yaml_text
 from puma_sim_core.recording.bag.recorder import BagRecorder
+from puma_sim_core.servo.pid import Pid
+from puma_sim_core.servo.servo import ServoConfig
 from puma_sim_core.simulation.replay import replay
 from puma_sim_core.simulation.session import Session, SessionConfig
 from puma_sim_core.simulation.simulator import SERVO_PERIOD, Constraint, Simulator

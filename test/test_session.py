@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from arm_reference import arm_of, bits, plant_of
 
-from puma_sim_core.dynamics.pid import PidGains
-from puma_sim_core.dynamics.servo import ServoConfig
 from puma_sim_core.errors import CommandError, NonFiniteStateError
+from puma_sim_core.servo.pid import PidGains
+from puma_sim_core.servo.servo import ServoConfig
 from puma_sim_core.simulation.session import Session, SessionConfig
 from puma_sim_core.simulation.simulator import SERVO_PERIOD, Simulator
 

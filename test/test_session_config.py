@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_session import EFFECTS, all_bits, config_of, position_config
 
-from puma_sim_core.dynamics.pid import PidGains
-from puma_sim_core.dynamics.servo import ServoConfig
 from puma_sim_core.errors import ModelError, ParameterError
 from puma_sim_core.files import parse_yaml, yaml_text
+from puma_sim_core.servo.pid import PidGains
+from puma_sim_core.servo.servo import ServoConfig
 from puma_sim_core.simulation.session import Session, SessionConfig
 
 finite = st.floats(-1e6, 1e6)

@@ -16,10 +16,10 @@ from arm_reference import bits
 from test_session import EFFECTS, POSITION, all_bits, config_of, position_config
 
 from puma_sim_core.control.controllers import load_settings, make_controller
-from puma_sim_core.dynamics.servo import ServoConfig
 from puma_sim_core.errors import ModelError, ParameterError
 from puma_sim_core.files import parse_yaml, yaml_text
 from puma_sim_core.recording.bag import BagRecorder
+from puma_sim_core.servo.servo import ServoConfig
 from puma_sim_core.simulation.replay import replay
 from puma_sim_core.simulation.session import Session, SessionConfig
 from puma_sim_core.simulation.simulator import Simulator

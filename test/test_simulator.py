@@ -14,10 +14,10 @@ from arm_reference import START, VISCOUS, bits, plant_of, smooth_voltages
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from puma_sim_core.dynamics.servo import ServoConfig
 from puma_sim_core.errors import LimitError, NonFiniteStateError, ParameterError
-from puma_sim_core.simulation.run_inputs import GREATEST_STEP
-from puma_sim_core.simulation.simulator import SERVO_PERIOD, Constraint, Limits, Simulator, check_step
+from puma_sim_core.servo.servo import ServoConfig
+from puma_sim_core.simulation.run_inputs import GREATEST_STEP, check_step
+from puma_sim_core.simulation.simulator import SERVO_PERIOD, Constraint, Limits, Simulator
 
 #: every kind of effect at once
 EFFECTS = (
@@ -298,7 +298,7 @@ def test_constraints_are_read_from_text(text, constraint):
     "text, message",
     [
         ("", "constraint ''"),
-        ("fixed", "constraint 'fixed': unknown; expected free or hold"),
+        ("fixed", "constraint 'fixed'; expected free or hold"),
         ("hold:1", "constraint 'hold': value 1.0; expected no value"),
         ("acceleration", "no value"),
         ("velocity:", "value ''; expected a number"),

@@ -10,8 +10,8 @@ from arm_reference import mass_matrix, plant_of, smooth_voltages
 from scipy.integrate import solve_ivp
 
 from puma_sim_core.arm.rigid_body import gravity_torque
-from puma_sim_core.dynamics.servo import ServoConfig
 from puma_sim_core.jit import BACKEND
+from puma_sim_core.servo.servo import ServoConfig
 from puma_sim_core.simulation.simulator import Constraint, Simulator
 
 pytestmark = pytest.mark.long

@@ -12,9 +12,10 @@ import pytest
 
 from puma_sim_core.arm.kinematics import forward_kinematics
 from puma_sim_core.arm.parameters import load_parameters, parameter_sets
-from puma_sim_core.arm.printed_coefficients import misprints
+from puma_sim_core.arm.printed_coefficients import COEFFICIENTS
 from puma_sim_core.arm.rigid_body import coriolis, gravity_torque, inertia
-from puma_sim_core.thesis import chapter_2, chapter_4, terms
+from puma_sim_core.thesis import chapter_2, chapter_4
+from puma_sim_core.thesis.misprints import chapter_4_forms as terms
 from puma_sim_core.thesis.registry import Context, experiments
 
 ARM = load_parameters("bejczy")
@@ -150,8 +151,11 @@ def test_bejczy_made_the_printed_numbers():
 
 def test_every_misprinted_number_has_its_reason():
     listed = {(name, basis) for name, basis, *_ in terms.printed_terms() if terms.is_misprint(name, basis)}
-    assert listed == set(chapter_4._WHY)
-    assert {name for name, _ in listed} == set(misprints())
+    cases = chapter_4.words.content["rows"]["term"]["note"]
+    assert {f"{name} {basis}" for name, basis in listed} == set(cases) - {"rounded", "fits"}
+    assert {name for name, _ in listed} == {
+        name for name, each in COEFFICIENTS.items() if any(term.printed != term.corrected for term in each)
+    }
 
 
 def test_lengths_follow_from_the_printed_numbers():

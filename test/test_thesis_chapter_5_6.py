@@ -14,7 +14,7 @@ from puma_sim_core.arm.parameters import load_parameters
 from puma_sim_core.arm.third_order import joint_torque_per_ampere
 from puma_sim_core.plant.plant import Plant
 from puma_sim_core.simulation.simulator import Constraint, Simulator
-from puma_sim_core.thesis import chapter_5_6, chapter_6_1, chapter_6_2, integration
+from puma_sim_core.thesis import chapter_5_6, chapter_6
 from puma_sim_core.thesis.misprints import chapter_6 as misprints_6
 from puma_sim_core.thesis.misprints.reference import nominal
 from puma_sim_core.thesis.registry import Context
@@ -23,9 +23,9 @@ pytestmark = pytest.mark.long
 UPRIGHT = np.array([0.0, -math.pi / 2, math.pi / 2])
 RUNS = {
     "5.2": chapter_5_6.third_order,
-    "6.1": chapter_6_1.constraints,
-    "6.2": chapter_6_2.run,
-    "6.2.1": chapter_6_1.locks_and_run_time,
+    "6.1": chapter_6.constraints,
+    "6.2": chapter_6.run,
+    "6.2.1": chapter_6.locks_and_run_time,
     "6.3": chapter_5_6.inversion,
     "6.4": chapter_5_6.program_matrices,
 }
@@ -99,11 +99,11 @@ def test_euler_pays_more_than_fifty_times(results):
 
 def test_rk4_oscillates_by_itself_just_above_its_limit():
     # the linear limit of the arm where it stands, tried on the whole equations for a second
-    limit = misprints_6.stability_limit(chapter_6_2.pose_eigenvalues(UPRIGHT))
+    limit = misprints_6.stability_limit(chapter_6.pose_eigenvalues(UPRIGHT))
     plant, start = Plant.of("bejczy"), (*UPRIGHT, *[0.0] * 3, 0.1, 0.1, 0.1)
     volts = np.zeros((120, 3))
-    below = integration.rk4(plant, start, volts, 1, 0.99 * limit)
-    above = integration.rk4(plant, start, volts, 1, 1.03 * limit)
+    below = chapter_6.rk4(plant, start, volts, 1, 0.99 * limit)
+    above = chapter_6.rk4(plant, start, volts, 1, 1.03 * limit)
     # currents start at 0.1 A and would die out within a few milliseconds
     assert np.max(np.abs(below.states[20:, 6:])) < 0.2
     assert above.failed >= 0 or np.max(np.abs(above.states[20:, 6:])) > 5.0
@@ -113,20 +113,20 @@ def test_limit_is_nowhere_below_that_of_the_motor_alone():
     motor = nominal().motors[0]
     alone = misprints_6.stability_limit(np.array([-motor.resistance / motor.inductance]))
     assert 1e3 * alone == pytest.approx(8.36, abs=0.01)
-    assert np.min(chapter_6_2.limit_map()[1]) > 1e3 * alone
+    assert np.min(chapter_6.limit_map()[1]) > 1e3 * alone
 
 
 def test_fifty_milliseconds_overflow_at_once():
-    assert 0 < chapter_6_2.failure_row(0.050) < 10
-    assert chapter_6_2.failure_row(0.005) == -1
+    assert 0 < chapter_6.failure_row(0.050) < 10
+    assert chapter_6.failure_row(0.005) == -1
 
 
 def test_adaptive_reference_agrees_with_rk4_at_a_tiny_step():
     plant = Plant.of("bejczy")
     volts = np.tile((20.0, -15.0, 10.0), (4, 1))
     start = (0.1, -0.4, 0.7, 0.3, -0.2, 0.5, 0.5, -1.0, 0.8)
-    reference = integration.adaptive(plant, start, volts)
-    fine = integration.rk4(plant, start, volts, 400)
+    reference = chapter_6.adaptive(plant, start, volts)
+    fine = chapter_6.rk4(plant, start, volts, 400)
     np.testing.assert_allclose(reference.states, fine.states, rtol=0, atol=1e-9)
     assert fine.evaluations == 4 * 4 * 400
 
@@ -135,8 +135,8 @@ def test_euler_step_is_the_derivative_times_the_step():
     plant = Plant.of("bejczy")
     start = np.array([0.1, -0.4, 0.7, 0.3, -0.2, 0.5, 0.5, -1.0, 0.8])
     volts = np.array([[20.0, -15.0, 10.0]])
-    run = integration.euler(plant, start, volts, 1)
-    expected = start + integration.ROW * misprints_6.rates(start, volts[0])
+    run = chapter_6.euler(plant, start, volts, 1)
+    expected = start + chapter_6.ROW * misprints_6.rates(start, volts[0])
     np.testing.assert_allclose(run.states[1], expected, rtol=1e-12)
 
 
@@ -176,13 +176,13 @@ def test_simulator_locks_joints_rightly(joint):
 
 
 def test_right_lock_responds_as_the_simulator():
-    at, velocity = chapter_6_1.locked_response(False, duration=0.028)
+    at, velocity = chapter_6.locked_response(False, duration=0.028)
     simulator = Simulator(Plant.of("bejczy"), constraints=[Constraint(), Constraint("hold"), Constraint("hold")])
     simulator.reset(UPRIGHT)
     run = simulator.run(at, np.tile((20.0, 0.0, 0.0), (len(at), 1)))
     np.testing.assert_allclose(velocity, run.velocity[:, 0], rtol=0, atol=2e-4)
     # overwriting is another motion by far
-    _, wrong = chapter_6_1.locked_response(True, duration=0.028)
+    _, wrong = chapter_6.locked_response(True, duration=0.028)
     assert np.max(np.abs(wrong - velocity)) > 0.05
 
 

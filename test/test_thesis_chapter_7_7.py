@@ -13,9 +13,9 @@ import pytest
 from puma_sim_core.jit import BACKEND
 from puma_sim_core.plant.plant import Plant
 from puma_sim_core.simulation.simulator import SERVO_PERIOD
-from puma_sim_core.thesis import chapter_7_7_4 as search
+from puma_sim_core.thesis import chapter_7_7 as search
+from puma_sim_core.thesis.motions import CASES, UPRIGHT, path, printed_pid, run
 from puma_sim_core.thesis.registry import Context, find
-from puma_sim_core.thesis.tuning import CASES, UPRIGHT, path, printed_pid, run
 from puma_sim_core.tuning.ziegler_nichols import settings
 
 pytestmark = [
@@ -129,7 +129,9 @@ def test_delay_borne_is_where_the_simulated_arm_begins_to_oscillate():
     borne = search.greatest_delay(Plant.of(), gains, (1, 2, 3))
     for delay, sustained in ((borne, False), (borne + 1, True)):
         start = np.array(UPRIGHT)
-        record = run(Plant.of(), gains, start, path(start, ((0.1, 0.0, [1e-3] * 3),), 12.0), delay_samples=delay)
+        record = run(
+            Plant.of(), gains, start, path(start, ((0.1, 0.0, [1e-3] * 3),), 12.0), servo={"delay_samples": delay}
+        )
         assert search.tail(record, SERVO_PERIOD).sustained == sustained
 
 

@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 
 from puma_sim_core.arm.kinematics import wrist_position
-from puma_sim_core.dynamics.pid import PidGains, recursive_coefficients
-from puma_sim_core.plant.plant import Plant
+from puma_sim_core.servo.pid import PidGains, recursive_coefficients
 from puma_sim_core.thesis import chapter_7_8 as section
-from puma_sim_core.thesis import controller_records as records
 from puma_sim_core.thesis.registry import Context, experiments
 from puma_sim_core.tuning.pid_identification import identify_pid
 
@@ -22,7 +20,7 @@ pytestmark = pytest.mark.long
 
 @pytest.fixture(scope="module")
 def maker():
-    return records.Maker(Plant.of("bejczy", (), "physical"))
+    return section.Maker()
 
 
 @pytest.fixture(scope="module")
@@ -32,9 +30,9 @@ def result():
 
 def test_the_motions_are_ten_millimetres_in_x_where_the_section_has_them(maker):
     arm = maker.plant.arm
-    places = records.motions(arm)
+    places = section.motions(arm)
     for motion in places.values():
-        setpoint = records.repeated(arm, motion, 0.3, 80)
+        setpoint = section.repeated(arm, motion, 0.3, 80)
         wrist = np.array([wrist_position(q, arm) for q in setpoint])
         assert np.ptp(wrist[:, 0]) == pytest.approx(0.010, rel=0.02)
         assert np.ptp(wrist[:, 1:], axis=0) == pytest.approx([0.0, 0.0], abs=1e-12)
@@ -47,14 +45,14 @@ def test_the_motions_are_ten_millimetres_in_x_where_the_section_has_them(maker):
     highest = wrist_position(np.array(places["7.10"].start), arm)
     assert reach - 0.03 < highest[2] < reach
     # along x, the motion does not turn joint 1
-    along = records.repeated(arm, places["along x"], 0.3, 80)
+    along = section.repeated(arm, places["along x"], 0.3, 80)
     assert np.ptp(along[:, 0]) < 1e-12
 
 
 def test_a_record_is_what_the_controller_saw(maker):
     gains = section.EQUATIONS[0].gains
-    record = maker.log(records.motions(maker.plant.arm)["7.9"], gains, np.random.default_rng(3))
-    assert len(record) == records.RECORD
+    record = maker.log("7.9", gains, np.random.default_rng(3))
+    assert len(record) == section.RECORD
     found = identify_pid(record)
     assert found.rounding_only
     assert found.voltage_step == pytest.approx(80.0 / 4096.0)
@@ -73,7 +71,7 @@ def test_a_record_is_what_the_controller_saw(maker):
 
 def test_the_quoted_gains_do_not_follow_from_the_equations_with_any_signs():
     for equation in section.EQUATIONS:
-        for distance, gains, _ in section.readings(equation, section.SERVO_PERIOD):
+        for distance, gains, _ in section.readings(equation):
             assert distance > log(100.0) and min(gains) > 0.0
     seven_nine, seven_ten = section.EQUATIONS
     h = 0.028 / 30.0
@@ -81,13 +79,14 @@ def test_the_quoted_gains_do_not_follow_from_the_equations_with_any_signs():
         (6739 - 5743, 996 * h / (6739 + 1430 + 5743), 5743 * h / 996)
     )
     assert section.implied_gains(seven_ten.numerator, h).gain == -295.0
-    assert not section.readings(seven_ten, h)
+    assert not section.readings(seven_ten)
 
 
 def test_the_sensitivity_is_that_of_a_small_change():
     h = section.SERVO_PERIOD
     for equation in section.EQUATIONS:
-        _, numbers = section.sensitivity_rows(equation, h)
+        numbers = {}
+        section.sensitivity_rows(equation, numbers)
         q = np.array(recursive_coefficients(equation.gains, h))
         share = 0.01 * numbers[f"{equation.key}_needed_q0_percent"]
         moved = section.implied_gains(q * [1.0 + share, 1.0, 1.0], h).gain

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from puma_sim_core.arm.rigid_body import inertia
-from puma_sim_core.dynamics.pid import PidGains
 from puma_sim_core.plant.plant import Plant
+from puma_sim_core.servo.pid import PidGains
 from puma_sim_core.thesis import chapter_7_9, chapter_8
 from puma_sim_core.thesis.registry import Context
 

@@ -244,7 +244,7 @@ def test_a_run_starts_without_a_swing():
         (
             ["joint_elasticity:joint=2,stiffness=2e4", "backlash:joint=2,gap=0.001,motor_share=0.5"],
             "bejczy",
-            "backlash of joint 2: motor_share 0.5 and 0.7; expected the same in both",
+            "backlash of joint 2: motor_share 0.5 and 0.7; expected the same",
         ),
         (["joint_elasticity:joint=1,stiffness=1"], "bejczy", "stiffness=1; expected 10 to 1e"),
         (["backlash:joint=1"], "bejczy", "'gap' is missing"),

@@ -24,11 +24,11 @@ from puma_sim_core.control.linear import (
     radius,
     sampled,
 )
-from puma_sim_core.dynamics.pid import PidGains
-from puma_sim_core.dynamics.servo import ServoConfig
 from puma_sim_core.errors import LimitError, ParameterError, TuningError
 from puma_sim_core.jit import BACKEND
 from puma_sim_core.plant.plant import Plant
+from puma_sim_core.servo.pid import PidGains
+from puma_sim_core.servo.servo import ServoConfig
 from puma_sim_core.simulation.simulator import Constraint, Simulator
 from puma_sim_core.tuning.ziegler_nichols import (
     Loop,
@@ -224,7 +224,7 @@ def test_requests_without_an_answer_are_refused(method):
     [
         ({"pose": (0.0, 1.0, 0.0)}, LimitError, r"pose: joint 2 at 57\.\d+ deg; expected -223 to 43"),
         ({"pose": (0.0, 0.0, np.nan)}, ParameterError, "pose"),
-        ({"joint": 4}, ParameterError, "joint 4; expected 1, 2 or 3"),
+        ({"joint": 4}, ParameterError, "joint 4; expected 1 or 2 or 3"),
         ({"period": 0.0}, ParameterError, "period 0.0 s"),
         ({"delay": -1}, ParameterError, "delay -1"),
         ({"delay": 1.0}, ParameterError, "delay 1.0; expected a whole number"),
@@ -291,7 +291,7 @@ def test_command_takes_rate_delay_and_plant(capsys):
         (("--joint", 2, "--pose", "0,90,0"), "joint 2 at 90 deg; expected -223 to 43 deg"),
         (("--joint", 3, "--limit", 100, "--method", "eigenvalues"), "no ultimate gain below 100 V/rad"),
         (("--joint", "two"), "--joint: 'two'; expected a whole number"),
-        (("--joint", 4), "joint 4; expected 1, 2 or 3"),
+        (("--joint", 4), "joint 4; expected 1 or 2 or 3"),
         (("--joint", 1, "--pose", "0,0"), "--pose: '0,0'; expected three finite numbers"),
     ],
 )

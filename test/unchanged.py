@@ -61,7 +61,7 @@ PLACES = {
     "run_batch": ("simulation.batch", "batch"),
     "Session": ("simulation.session", "session"),
     "SessionConfig": ("simulation.session", "session"),
-    "ServoConfig": ("dynamics.servo", "control.servo"),
+    "ServoConfig": ("servo.servo", "dynamics.servo", "control.servo"),
     "BagRecorder": ("recording.bag", "bag"),
     "RecordedCommand": ("recording.bag", "bag"),
     "ParameterError": ("errors",),
@@ -332,7 +332,10 @@ def batch_runs(c: SimpleNamespace, rows: int) -> Iterator[tuple[str, bytes]]:
         ("lanes_mixed", mixed, each, True, 2),
         ("alone", plain[:3], each[:3], False, 1),
     ):
-        run = c.run_batch(plants, times, voltage, position=starts[: len(plants)], lanes=lanes, workers=workers)
+        place = starts[: len(plants)]
+        module = sys.modules[c.run_batch.__module__]
+        start = {"start": module.InitialState(place)} if hasattr(module, "InitialState") else {"position": place}
+        run = c.run_batch(plants, times, voltage, **start, lanes=lanes, workers=workers)
         yield name, packed(run)
 
 

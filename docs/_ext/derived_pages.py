@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import ast
+import itertools
 import re
 from pathlib import Path
 
@@ -77,16 +78,18 @@ def equations_page() -> str:
 
 
 def api_page() -> str:
-    """Reference of the public names, in the order of `puma_sim_core`."""
+    """Reference of the public names, module by module, as the stub lists them."""
     lines = ["# API reference", "", "The names of `import puma_sim_core as ps`. Each is imported at its first use.", ""]
-    for module, text in ps._PUBLIC.items():
-        lines += [f"## `puma_sim_core.{module}`", ""]
-        for entry in text.split():
-            name, _, public = entry.partition(":")
-            value = getattr(ps, public or name)
+    stub = ast.parse(Path(ps.__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
+    named = [(node.module, alias) for node in stub.body if isinstance(node, ast.ImportFrom) for alias in node.names]
+    for module, aliases in itertools.groupby(named, key=lambda pair: pair[0]):
+        lines += [f"## `{module}`", ""]
+        for _, alias in aliases:
+            public = alias.asname or alias.name
+            value = getattr(ps, public)
             directive = "autoclass" if isinstance(value, type) else "autofunction"
-            lines += [f"### `ps.{public or name}`", "", "```{eval-rst}"]
-            lines += [f".. {directive}:: puma_sim_core.{module}.{name}"]
+            lines += [f"### `ps.{public}`", "", "```{eval-rst}"]
+            lines += [f".. {directive}:: {module}.{alias.name}"]
             lines += ["   :members:"] if directive == "autoclass" and not issubclass(value, tuple) else []
             lines += ["```", ""]
     return "\n".join(lines)

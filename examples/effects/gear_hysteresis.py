@@ -28,6 +28,10 @@ def torque(p, k, deflection):
 def candidates(signals: Signals, joint: int) -> list[Candidate]:
     """The deflection under the measured motion over its greatest, for a grid of travels; the coefficient is T."""
     scale, found = float(signals.torque_scale[joint]), []
+
+    def values(c, travel):
+        return {"torque": positive(c[0], "torque", "N.m", 12.0 * scale), "travel": travel}
+
     for travel in _TRAVELS:
         column = np.zeros(len(signals.time))
         for part in stretches(signals):
@@ -36,12 +40,7 @@ def candidates(signals: Signals, joint: int) -> list[Candidate]:
             for n, step in enumerate(steps):
                 deflection = min(max(deflection + step, -travel), travel)
                 column[part.start + n] = deflection / travel
-
-        def values(c, travel=float(travel)):
-            return {"torque": positive(c[0], "torque", "N.m", 12.0 * scale), "travel": travel}
-
-        grid = {"travel": float(travel)}
-        found.append(candidate(on_joint(joint, column), [0.5 * scale], [scale], values, grid))
+        found.append(candidate(on_joint(joint, column), [0.5 * scale], [scale], values, {"travel": travel}))
     return found
 
 

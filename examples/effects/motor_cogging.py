@@ -25,18 +25,17 @@ def cogging_torque(p, k, q, qd):
 def candidates(signals: Signals, joint: int) -> list[Candidate]:
     """One regressor for each order and place of the wave; its coefficient is the amplitude."""
     gear, scale, found = float(signals.gear[joint]), float(signals.torque_scale[joint]), []
+
+    def values(c, order, phase):
+        return {"amplitude": positive(c[0], "amplitude", "N.m", 3.0 * scale), "order": order, "phase": phase}
+
     for order in _ORDERS:
         if not waves(signals, joint, 2.0 * order * abs(gear)):
             continue
         for phase in 2.0 * np.pi * np.arange(_PHASES) / _PHASES:
             x = order * gear * signals.position[:, joint] + phase
-
-            def values(c, order=float(order), phase=float(phase)):
-                amplitude = positive(c[0], "amplitude", "N.m", 3.0 * scale)
-                return {"amplitude": amplitude, "order": order, "phase": phase}
-
             column = np.sin(x) + 0.5 * np.sin(2.0 * x)
-            grid = {"order": float(order), "phase": float(phase)}
+            grid = {"order": order, "phase": phase}
             found.append(candidate(on_joint(joint, column), [0.3 * scale], [0.3 * scale], values, grid))
     return found
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -84,7 +85,7 @@ class ArmParameters:
     gravity: float
     joint_ranges: tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
     suggested_effects: tuple[str, ...] = ()
-    sources: Mapping[str, tuple] = field(default_factory=dict, compare=False, repr=False)
+    sources: Mapping[str, tuple[Any, str]] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def motor_inertia(self) -> np.ndarray:

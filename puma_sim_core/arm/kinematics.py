@@ -11,7 +11,10 @@ All functions accept complex angles.
 
 from __future__ import annotations
 
+from itertools import accumulate
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from puma_sim_core.arm.arm import ArmParameters
 
@@ -30,7 +33,7 @@ def dh_table(arm: ArmParameters) -> np.ndarray:
     return np.column_stack([lengths, _ALPHA, offsets])
 
 
-def dh_transform(q, a: float, alpha: float, d: float) -> np.ndarray:
+def dh_transform(q: complex, a: float, alpha: float, d: float) -> np.ndarray:
     """(4, 4) transform from frame i-1 to frame i; q, alpha [rad], a, d [m]; section 2.3."""
     s, c = np.sin(q), np.cos(q)
     # twists are quarter turns, whose sine and cosine should be exact
@@ -38,15 +41,13 @@ def dh_transform(q, a: float, alpha: float, d: float) -> np.ndarray:
     return np.array([[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0.0, sa, ca, d], [0.0, 0.0, 0.0, 1.0]])
 
 
-def link_transforms(q, arm) -> np.ndarray:
+def link_transforms(q: ArrayLike, arm: ArmParameters | ArrayLike) -> np.ndarray:
     """Transforms from the base to frames 0 to n, for the first n joints.
 
     q : (n,) joint angles [rad], n from 0 to 6 for an arm; arm : ArmParameters, or a table (m, 3)
     of rows (a, alpha, d) with m >= n. Returns (n + 1, 4, 4), the first of them the identity.
 
-    Raises
-    ------
-    ValueError : more angles than links.
+    Raises ValueError: more angles than links.
     """
     q, table = _arguments(q, arm)
     out = np.empty((len(q) + 1, 4, 4), dtype=q.dtype)
@@ -56,17 +57,17 @@ def link_transforms(q, arm) -> np.ndarray:
     return out
 
 
-def forward_kinematics(q, arm) -> np.ndarray:
+def forward_kinematics(q: ArrayLike, arm: ArmParameters | ArrayLike) -> np.ndarray:
     """(4, 4) transform from the base to the last of the n given joints' frames."""
     return link_transforms(q, arm)[-1]
 
 
-def elbow_position(q, arm: ArmParameters) -> np.ndarray:
+def elbow_position(q: ArrayLike, arm: ArmParameters) -> np.ndarray:
     """(3,) origin of frame 2 in the base frame [m]; q: (at least 2,) [rad]."""
     return link_transforms(np.asarray(q)[:2], arm)[-1][:3, 3]
 
 
-def wrist_position(q, arm: ArmParameters) -> np.ndarray:
+def wrist_position(q: ArrayLike, arm: ArmParameters) -> np.ndarray:
     """(3,) point where the axes of the wrist meet, in the base frame [m].
 
     q : (at least 3,) [rad]; joints 4 to 6 turn about this point and do not move it.
@@ -75,97 +76,37 @@ def wrist_position(q, arm: ArmParameters) -> np.ndarray:
     return frame[:3, 3] + arm.d4 * frame[:3, 2]
 
 
-def tool_position(q, arm: ArmParameters, tool=(0.0, 0.0, 0.0)) -> np.ndarray:
-    """(3,) position of a point of the tool in the base frame [m].
-
-    q : (6,) [rad], or (3,) for a wrist at zero; tool : the point in frame 6 [m]. The default is
-    the origin of frame 6, the wrist itself.
-    """
-    q = np.asarray(q)
-    if q.shape == (3,):
-        q = np.concatenate([q, np.zeros(3)])
-    frame = forward_kinematics(q, arm)
-    return frame[:3, 3] + frame[:3, :3] @ np.asarray(tool)
-
-
-def delta_operator(axis, translation=(0.0, 0.0, 0.0)) -> np.ndarray:
-    """(4, 4) delta operator for a unit turn about ``axis`` and a translation (section 2.5.2).
-
-    axis : (3,) k; translation : (3,) d, both in the reference frame. To first order
-    dT = delta T dq. For a joint, k = z and d = 0 give Q (equations 2.1, 2.2).
-    """
-    kx, ky, kz = axis
-    dx, dy, dz = translation
-    return np.array([[0.0, -kz, ky, dx], [kz, 0.0, -kx, dy], [-ky, kx, 0.0, dz], [0.0, 0.0, 0.0, 0.0]])
-
-
-def base_delta(q, joint: int, arm) -> np.ndarray:
-    """(4, 4) delta operator of a joint (from 1) expressed in the base frame.
-
-    dT_p/dq_joint = base_delta T_p for every frame p from ``joint`` outwards: T Q T^-1 with T the
-    transform to frame joint - 1.
-    """
-    frame = link_transforms(np.asarray(q)[:joint], arm)[joint - 1]
-    axis = frame[:3, 2]
-    return delta_operator(axis, -np.cross(axis, frame[:3, 3]))
-
-
-def first_derivatives(q, arm) -> np.ndarray:
+def first_derivatives(q: ArrayLike, arm: ArmParameters | ArrayLike) -> np.ndarray:
     """dT_p/dq_i of the frames 1 to n, equation 2.3.
 
     Arguments of :func:`link_transforms`. Returns (n, n, 4, 4), [p - 1, i - 1]; zero where joint i
     is outside frame p.
     """
     q, table = _arguments(q, arm)
-    between = _between(q, table)
     n = len(q)
+    steps = [dh_transform(angle, *row) for angle, row in zip(q, table)]
+    #: transforms from frame i to the frames i to n
+    between = [list(accumulate(steps[i:], np.matmul, initial=np.eye(4))) for i in range(n + 1)]
     out = np.zeros((n, n, 4, 4), dtype=q.dtype)
     for p in range(n):
         for i in range(p + 1):
-            out[p, i] = between[0][i] @ Q @ between[i][p + 1]
+            out[p, i] = between[0][i] @ Q @ between[i][p + 1 - i]
     return out
 
 
-def second_derivatives(q, arm) -> np.ndarray:
-    """d2T_p/dq_i dq_j of the frames 1 to n, equation 2.4.
-
-    Arguments of :func:`link_transforms`. Returns (n, n, n, 4, 4), [p - 1, i - 1, j - 1], symmetric
-    in i and j.
-    """
-    q, table = _arguments(q, arm)
-    between = _between(q, table)
-    n = len(q)
-    out = np.zeros((n, n, n, 4, 4), dtype=q.dtype)
-    for p in range(n):
-        for i in range(p + 1):
-            for j in range(i, p + 1):
-                out[p, i, j] = between[0][i] @ Q @ between[i][j] @ Q @ between[j][p + 1]
-                out[p, j, i] = out[p, i, j]
-    return out
-
-
-def _between(q, table):
-    """between[i][p] is the transform from frame i to frame p >= i."""
-    steps = [dh_transform(angle, *row) for angle, row in zip(q, table)]
-    n = len(steps)
-    between = []
-    for i in range(n + 1):
-        row = [None] * i + [np.eye(4)]
-        for p in range(i, n):
-            row.append(row[-1] @ steps[p])
-        between.append(row)
-    return between
-
-
-def _arguments(q, arm):
-    q = np.asarray(q)
-    if q.dtype.kind not in "fc":
-        q = q.astype(float)
+def _arguments(q: ArrayLike, arm: ArmParameters | ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    q = as_angles(q)
     table = dh_table(arm) if isinstance(arm, ArmParameters) else np.asarray(arm, dtype=float)
     if q.ndim != 1 or len(q) > len(table):
         raise ValueError(f"angles of shape {q.shape} for {len(table)} links; expected (n,) with n at most {len(table)}")
     return q, table[: len(q)]
 
 
-def _exact(value):
+def as_angles(q: ArrayLike) -> np.ndarray:
+    """Angles as an array, real or complex."""
+    q = np.asarray(q)
+    return q if q.dtype.kind in "fc" else q.astype(float)
+
+
+def _exact(value: float) -> float:
     return np.round(value) if abs(value - np.round(value)) < 1e-15 else value

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from puma_sim_core.arm.arm import ArmParameters
+from puma_sim_core.arm.arm import ArmParameters, Link
 
 
 def with_point_mass(arm: ArmParameters, mass: float, x: float, y: float, z: float) -> ArmParameters:
@@ -23,11 +23,7 @@ def with_point_mass(arm: ArmParameters, mass: float, x: float, y: float, z: floa
     pseudo = link.pseudo_inertia + mass * np.outer(r, r)
     whole = float(pseudo[3, 3])
     xx, yy, zz = (float(pseudo[n, n]) / whole for n in range(3))
-    loaded = replace(
-        link,
-        mass=whole,
-        centre=tuple(float(c) for c in pseudo[:3, 3] / whole),
-        gyration_squared=(yy + zz, xx + zz, xx + yy),
-        products=tuple(float(pseudo[a, b]) / whole for a, b in ((0, 1), (1, 2), (0, 2))),
-    )
-    return replace(arm, links=(arm.links[0], arm.links[1], loaded))
+    centre: tuple[float, ...] = tuple(float(c) for c in pseudo[:3, 3] / whole)
+    products: tuple[float, ...] = tuple(float(pseudo[a, b]) / whole for a, b in ((0, 1), (1, 2), (0, 2)))
+    loaded = Link(whole, centre, (yy + zz, xx + zz, xx + yy), products)  # type: ignore[arg-type]
+    return replace(arm, links=(*arm.links[:2], loaded))

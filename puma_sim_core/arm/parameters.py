@@ -12,33 +12,46 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from puma_sim_core.arm.arm import ArmParameters, Link, Motor
 from puma_sim_core.arm.rigid_body import inertia
+from puma_sim_core.checks import Reader
 from puma_sim_core.errors import ParameterError
-from puma_sim_core.files import read_yaml, write_yaml
+from puma_sim_core.files import read_yaml
 from puma_sim_core.resources import config_path
 
 #: greatest distance between poses at which D + Ia is examined [deg]
 _POSE_STEP = 5.0
 
-_LINK_UNITS = {"mass": "kg", "centre": "m", "gyration_squared": "m^2", "products": "m^2"}
-_MOTOR_UNITS = {
-    "resistance": "ohm",
-    "inductance": "H",
-    "back_emf": "V.s/rad",
-    "torque_constant": "N.m/A",
-    "gear_ratio": "1",
-    "inertia": "kg.m^2",
+
+class _Quantity(NamedTuple):
+    """Unit, number of values (0: one, by itself), and which values may be: any, "not negative", "positive"."""
+
+    unit: str
+    length: int = 0
+    sign: str = "any"
+
+
+_LINK = {
+    "mass": _Quantity("kg", sign="positive"),
+    "centre": _Quantity("m", 3),
+    "gyration_squared": _Quantity("m^2", 3, "not negative"),
+    "products": _Quantity("m^2", 3),
 }
-_GEOMETRY_UNITS = {"a2": "m", "a3": "m", "d3": "m", "d4": "m"}
-_VECTORS = {"centre", "gyration_squared", "products"}
-_POSITIVE = {"mass", "resistance", "inductance", "back_emf", "torque_constant", "gear_ratio"}
-_NOT_NEGATIVE = {"gyration_squared", "inertia"}
+_MOTOR = {
+    "resistance": _Quantity("ohm", sign="positive"),
+    "inductance": _Quantity("H", sign="positive"),
+    "back_emf": _Quantity("V.s/rad", sign="positive"),
+    "torque_constant": _Quantity("N.m/A", sign="positive"),
+    "gear_ratio": _Quantity("1", sign="positive"),
+    "inertia": _Quantity("kg.m^2", sign="not negative"),
+}
+_GEOMETRY = {name: _Quantity("m") for name in ("a2", "a3", "d3", "d4")}
 _TOP_KEYS = ("name", "source", "geometry", "gravity", "links", "motors", "joint_ranges", "suggested_effects")
 
 
@@ -48,103 +61,118 @@ def parameter_sets() -> list[str]:
     return sorted(names, key=lambda name: name != "bejczy")
 
 
-def load_parameters(name_or_path: str | os.PathLike) -> ArmParameters:
+def load_parameters(name_or_path: str | os.PathLike[str]) -> ArmParameters:
     """Read and check a published set by its name, or a file by its path.
 
     Raises
     ------
     ParameterError : no such set or file, or a file that is not usable; names the key.
     """
-    path = Path(name_or_path)
-    names = parameter_sets()
+    path, names = Path(name_or_path), parameter_sets()
     if str(name_or_path) in names:
         path = config_path("parameters", f"{name_or_path}.yaml")
     elif not path.is_file():
-        raise ParameterError(
-            f"no parameter set or file '{name_or_path}'",
-            expected=f"the path of a YAML file or one of {', '.join(names)}",
-        )
+        expected = f"the path of a YAML file or one of {', '.join(names)}"
+        raise ParameterError(f"no parameter set or file '{name_or_path}'", expected=expected)
     return from_mapping(read_yaml(path), where=str(path))
 
 
-def dump_parameters(parameters: ArmParameters, path: str | os.PathLike) -> None:
-    """Write a parameter file that loads to an equal value; the file appears complete or not at all.
-
-    Raises
-    ------
-    ParameterError : the file cannot be written.
-    """
-    write_yaml(to_mapping(parameters), path)
-
-
-def to_mapping(parameters: ArmParameters) -> dict:
+def to_mapping(parameters: ArmParameters) -> dict[str, Any]:
     """Mapping of plain YAML types from which :func:`from_mapping` makes an equal value."""
 
-    def quantity(key, value, unit):
-        entry = {"value": _plain(value), "unit": unit}
+    def source(key: str, value: object) -> str | None:
         known = parameters.sources.get(key)
-        if known is not None and known[0] == value and known[1]:
-            entry["source"] = known[1]
-        return entry
+        return known[1] if known is not None and known[0] == value and known[1] else None
 
-    def group(prefix, owner, units):
-        return {key: quantity(f"{prefix}.{key}", getattr(owner, key), unit) for key, unit in units.items()}
+    def entry(key: str, value: Any, unit: str) -> dict[str, Any]:
+        plain = [float(item) for item in value] if isinstance(value, tuple) else float(value)
+        text = source(key, value)
+        return {"value": plain, "unit": unit, **({"source": text} if text else {})}
 
-    effects = []
-    for index, effect in enumerate(parameters.suggested_effects, start=1):
-        known = parameters.sources.get(f"suggested_effects[{index}]")
-        note = known[1] if known is not None and known[0] == effect else None
-        effects.append({"effect": effect, "source": note} if note else effect)
-    mapping = {
+    def group(prefix: str, owner: object, quantities: Mapping[str, _Quantity]) -> dict[str, Any]:
+        return {name: entry(f"{prefix}.{name}", getattr(owner, name), q.unit) for name, q in quantities.items()}
+
+    effects = [
+        {"effect": effect, "source": text} if (text := source(f"suggested_effects[{n}]", effect)) else effect
+        for n, effect in enumerate(parameters.suggested_effects, start=1)
+    ]
+    return {
         "name": parameters.name,
         "source": parameters.source,
-        "geometry": group("geometry", parameters, _GEOMETRY_UNITS),
-        "gravity": quantity("gravity", parameters.gravity, "m/s^2"),
-        "links": {
-            f"link{i}": group(f"links.link{i}", link, _LINK_UNITS) for i, link in enumerate(parameters.links, start=1)
-        },
-        "motors": {
-            f"joint{i}": group(f"motors.joint{i}", motor, _MOTOR_UNITS)
-            for i, motor in enumerate(parameters.motors, start=1)
-        },
+        "geometry": group("geometry", parameters, _GEOMETRY),
+        "gravity": entry("gravity", parameters.gravity, "m/s^2"),
+        "links": {f"link{n}": group(f"links.link{n}", link, _LINK) for n, link in enumerate(parameters.links, 1)},
+        "motors": {f"joint{n}": group(f"motors.joint{n}", m, _MOTOR) for n, m in enumerate(parameters.motors, 1)},
         "joint_ranges": {
-            f"joint{i}": quantity(f"joint_ranges.joint{i}", pair, "rad")
-            for i, pair in enumerate(parameters.joint_ranges, start=1)
+            f"joint{n}": entry(f"joint_ranges.joint{n}", pair, "rad")
+            for n, pair in enumerate(parameters.joint_ranges, 1)
         },
+        **({"suggested_effects": effects} if effects else {}),
     }
-    if effects:
-        mapping["suggested_effects"] = effects
-    return mapping
 
 
-def from_mapping(mapping: Mapping, where: str | None = None) -> ArmParameters:
+def from_mapping(mapping: Mapping[str, Any], where: str | None = None) -> ArmParameters:
     """Value from the mapping of a parameter file, checked by :func:`check_parameters`.
 
     ``where`` (a path, a topic) begins the text of every error.
 
-    Raises
-    ------
-    ParameterError : unknown or missing key, wrong unit, length, type or sign, D + Ia not positive
-        definite; names the key and what was expected.
+    Raises ParameterError: unknown or missing key, wrong unit, length, type or sign, D + Ia not
+    positive definite; names the key and what was expected.
     """
-    reader = _Reader(where)
+    reader = Reader(where)
     reader.keys(mapping, "", _TOP_KEYS, optional=("suggested_effects",))
-    links = reader.group(mapping["links"], "links", "link")
-    motors = reader.group(mapping["motors"], "motors", "joint")
-    ranges = reader.group(mapping["joint_ranges"], "joint_ranges", "joint")
+    values: dict[str, Any] = {}
+
+    def quantity(entry: Any, key: str, count: int, *units: str) -> Any:
+        found, at = reader.entry(entry, key, *units), f"{key}.value"
+        values[key] = reader.numbers(found["value"], at, count) if count else reader.number(found["value"], at)
+        if found["unit"] == "deg":
+            values[key] = tuple(map(math.radians, values[key]))
+        return values[key]
+
+    def quantities(
+        group: Any, key: str, known: Mapping[str, _Quantity], optional: Collection[str] = ()
+    ) -> dict[str, Any]:
+        reader.keys(group, key, known, optional)
+        return {n: quantity(group[n], f"{key}.{n}", q.length, q.unit) for n, q in known.items() if n in group}
+
+    def three(key: str, stem: str) -> list[tuple[Any, str]]:
+        names = [f"{stem}{n}" for n in (1, 2, 3)]
+        reader.keys(mapping[key], key, names)
+        return [(mapping[key][name], f"{key}.{name}") for name in names]
+
+    links, motors, ranges = three("links", "link"), three("motors", "joint"), three("joint_ranges", "joint")
     parameters = ArmParameters(
         name=reader.text(mapping["name"], "name"),
         source=reader.text(mapping["source"], "source"),
-        links=tuple(reader.record(Link, entry, key, _LINK_UNITS, {"products"}) for key, entry in links),
-        motors=tuple(reader.record(Motor, entry, key, _MOTOR_UNITS) for key, entry in motors),
-        **reader.quantities(mapping["geometry"], "geometry", _GEOMETRY_UNITS),
-        gravity=reader.quantity(mapping["gravity"], "gravity", "m/s^2"),
-        joint_ranges=tuple(reader.angles(entry, key) for key, entry in ranges),
-        suggested_effects=reader.effects(mapping.get("suggested_effects", [])),
-        sources=reader.sources,
+        links=tuple(Link(**quantities(*link, _LINK, ("products",))) for link in links),  # type: ignore[arg-type]
+        motors=tuple(Motor(**quantities(*motor, _MOTOR)) for motor in motors),  # type: ignore[arg-type]
+        **quantities(mapping["geometry"], "geometry", _GEOMETRY),
+        gravity=quantity(mapping["gravity"], "gravity", 0, "m/s^2"),
+        joint_ranges=tuple(quantity(*each, 2, "rad", "deg") for each in ranges),  # type: ignore[arg-type]
+        suggested_effects=_effects(reader, mapping.get("suggested_effects", []), values),
+        sources={key: (values[key], text) for key, text in reader.sources.items()},
     )
     check_parameters(parameters, where)
     return parameters
+
+
+def _effects(reader: Reader, entries: Any, values: dict[str, Any]) -> tuple[str, ...]:
+    """The suggested effects; `values` gets each by its key."""
+    if not isinstance(entries, (list, tuple)):
+        reader.fail("suggested_effects", f"{entries!r}", "a list of effects")
+    names = []
+    for n, entry in enumerate(entries, start=1):
+        key = f"suggested_effects[{n}]"
+        if isinstance(entry, Mapping):
+            reader.keys(entry, key, ("effect", "source"))
+            reader.sources[key] = reader.text(entry["source"], f"{key}.source")
+            entry, key = entry["effect"], f"{key}.effect"
+        values[f"suggested_effects[{n}]"] = effect = reader.text(entry, key)
+        if not re.fullmatch(r"\w+(:\w+=[^,=]+(,\w+=[^,=]+)*)?", effect):
+            reader.fail(key, f"'{effect}'", "NAME:parameter=value,...")
+        names.append(effect)
+    return tuple(names)
 
 
 def check_parameters(parameters: ArmParameters, where: str | None = None) -> None:
@@ -154,33 +182,33 @@ def check_parameters(parameters: ArmParameters, where: str | None = None) -> Non
     joint ranges (a grid of at most 5 degrees, refined about its lowest pose). D alone need not be
     positive definite: the thesis's links have no products of inertia and are not quite bodies.
 
-    Raises
-    ------
-    ParameterError : names the key, or the pose [deg] and the eigenvalue [kg.m^2].
+    Raises ParameterError: names the key, or the pose [deg] and the eigenvalue [kg.m^2].
     """
+    reader = Reader(where)
 
-    def at(key):
-        return key if where is None else f"{where}: {key}"
+    def check(key: str, value: Any, quantity: _Quantity) -> None:
+        values = reader.numbers(value, key, quantity.length) if quantity.length else (reader.number(value, key),)
+        if quantity.sign == "positive" and min(values) <= 0:
+            reader.fail(key, f"{min(values)}", f"a number above 0 {quantity.unit}")
+        if quantity.sign == "not negative" and min(values) < 0:
+            reader.fail(key, f"{min(values)}", f"no number below 0 {quantity.unit}")
 
-    _check_group(parameters.links, _LINK_UNITS, at, "links.link")
-    _check_group(parameters.motors, _MOTOR_UNITS, at, "motors.joint")
-    for key in _GEOMETRY_UNITS:
-        _check_number(getattr(parameters, key), at(f"geometry.{key}"), 0)
-    _check_number(parameters.gravity, at("gravity"), 0)
-    if parameters.gravity < 0:
-        raise ParameterError(
-            f"{parameters.gravity}", where=at("gravity"), expected="0 or more m/s^2: gravity points down the base axis"
-        )
-    if len(parameters.joint_ranges) != 3:
-        raise ParameterError(f"{len(parameters.joint_ranges)} entries", where=at("joint_ranges"), expected="3 entries")
-    for i, pair in enumerate(parameters.joint_ranges, start=1):
-        _check_number(pair, at(f"joint_ranges.joint{i}"), 2)
-        if not (pair[0] < pair[1] and pair[1] - pair[0] <= 4 * math.pi):
-            raise ParameterError(
-                f"from {pair[0]} to {pair[1]} rad",
-                where=at(f"joint_ranges.joint{i}"),
-                expected="the lower end first, at most two turns in all",
-            )
+    def three(key: str, owners: tuple[Any, ...]) -> list[tuple[str, Any]]:
+        if len(owners) != 3:
+            reader.fail(key, f"{len(owners)} entries", "3 entries")
+        return [(f"{key}{n}", owner) for n, owner in enumerate(owners, start=1)]
+
+    groups = [("geometry", parameters, _GEOMETRY)]
+    groups += [(*each, _LINK) for each in three("links.link", parameters.links)]
+    groups += [(*each, _MOTOR) for each in three("motors.joint", parameters.motors)]
+    for prefix, owner, quantities in groups:
+        for name, quantity in quantities.items():
+            check(f"{prefix}.{name}", getattr(owner, name), quantity)
+    check("gravity", parameters.gravity, _Quantity("m/s^2", sign="not negative"))
+    for key, pair in three("joint_ranges.joint", parameters.joint_ranges):
+        check(key, pair, _Quantity("rad", 2))
+        if not 0 < pair[1] - pair[0] <= 4 * math.pi:
+            reader.fail(key, f"from {pair[0]} to {pair[1]} rad", "the lower end first, at most two turns in all")
     lowest, q2, q3 = smallest_eigenvalue(parameters)
     # not "<= 0": numbers so great that the inertia overflows give NaN
     if not lowest > 0:
@@ -199,7 +227,7 @@ def smallest_eigenvalue(parameters: ArmParameters) -> tuple[float, float, float]
     pose of the one before.
     """
     added = np.diag(parameters.motor_inertia)
-    low, high = (np.array(ends, dtype=float) for ends in zip(*parameters.joint_ranges[1:]))
+    low, high = np.array(parameters.joint_ranges[1:], dtype=float).T
     count = np.ceil((high - low) / math.radians(_POSE_STEP)).astype(int) + 1
     first, last = low, high
     for _ in range(4):
@@ -210,131 +238,11 @@ def smallest_eigenvalue(parameters: ArmParameters) -> tuple[float, float, float]
         with np.errstate(over="ignore", invalid="ignore"):
             matrices = inertia(poses, parameters) + added
         if not np.all(np.isfinite(matrices)):
-            return math.nan, *map(float, poses[0, 0, 1:])
+            return math.nan, float(second[0, 0]), float(third[0, 0])
         values = np.linalg.eigvalsh(matrices)[..., 0]
         best = np.unravel_index(np.argmin(values), values.shape)
         spacing = (last - first) / (count - 1)
         centre = poses[best][1:]
-        first = np.maximum(low, centre - spacing)
-        last = np.minimum(high, centre + spacing)
+        first, last = np.maximum(low, centre - spacing), np.minimum(high, centre + spacing)
         count = np.array([9, 9])
     return float(values[best]), float(centre[0]), float(centre[1])
-
-
-def _plain(value):
-    return [float(item) for item in value] if isinstance(value, tuple) else float(value)
-
-
-def _check_group(group, units, at, name):
-    """Three links or motors: types, lengths and signs of their numbers."""
-    if len(group) != 3:
-        raise ParameterError(f"{len(group)} entries", where=at(name), expected="3 entries")
-    for i, owner in enumerate(group, start=1):
-        for key, unit in units.items():
-            value, where = getattr(owner, key), at(f"{name}{i}.{key}")
-            _check_number(value, where, 3 if key in _VECTORS else 0)
-            lowest = min(value) if key in _VECTORS else value
-            if key in _POSITIVE and lowest <= 0:
-                raise ParameterError(f"{lowest}", where=where, expected=f"a number above 0 {unit}")
-            if key in _NOT_NEGATIVE and lowest < 0:
-                raise ParameterError(f"{lowest}", where=where, expected=f"no number below 0 {unit}")
-
-
-def _check_number(value, where: str, length: int) -> None:
-    """A finite number (length 0), or a tuple of as many finite numbers."""
-    expected = f"{length} finite numbers" if length else "a finite number"
-    if length and (not isinstance(value, (tuple, list)) or len(value) != length):
-        raise ParameterError(f"{value!r}", where=where, expected=expected)
-    for item in value if length else (value,):
-        if not _is_finite(item):
-            raise ParameterError(f"{item!r}", where=where, expected=expected)
-
-
-def _is_finite(item) -> bool:
-    if isinstance(item, bool) or not isinstance(item, (int, float, np.floating)):
-        return False
-    try:
-        return math.isfinite(item)
-    except OverflowError:  # an integer of more than 308 digits
-        return False
-
-
-class _Reader:
-    """Reads entries of a mapping, names their keys in errors, and gathers their sources."""
-
-    def __init__(self, where):
-        self.where, self.sources = where, {}
-
-    def fail(self, key, what, expected):
-        place = ": ".join(part for part in (self.where, key) if part)
-        raise ParameterError(what, where=place or None, expected=expected)
-
-    def keys(self, mapping, key, names, optional=()):
-        if not isinstance(mapping, Mapping):
-            self.fail(key, f"{mapping!r}"[:80], f"a mapping with the keys {', '.join(names)}")
-        for name in mapping:
-            if name not in names:
-                self.fail(f"{key}.{name}" if key else str(name), "unknown key", f"one of {', '.join(names)}")
-        for name in names:
-            if name not in mapping and name not in optional:
-                self.fail(f"{key}.{name}" if key else name, "missing", "this key" if not key else f"this key in {key}")
-
-    def text(self, value, key):
-        if not isinstance(value, str):
-            self.fail(key, f"{value!r}", "text")
-        return value
-
-    def group(self, mapping, key, stem):
-        names = tuple(f"{stem}{i}" for i in (1, 2, 3))
-        self.keys(mapping, key, names)
-        return [(f"{key}.{name}", mapping[name]) for name in names]
-
-    def record(self, kind, mapping, key, units, optional=frozenset()):
-        return kind(**self.quantities(mapping, key, units, optional))
-
-    def quantities(self, mapping, key, units, optional=frozenset()):
-        self.keys(mapping, key, tuple(units), optional)
-        return {
-            name: self.quantity(mapping[name], f"{key}.{name}", unit, 3 if name in _VECTORS else 0)
-            for name, unit in units.items()
-            if name in mapping
-        }
-
-    def quantity(self, entry, key, units, length=0):
-        units = (units,) if isinstance(units, str) else units
-        wanted = " or ".join(units)
-        if not isinstance(entry, Mapping):
-            self.fail(key, f"{entry!r} without a unit", f"{{value: ..., unit: {wanted}, source: ...}}")
-        self.keys(entry, key, ("value", "unit", "source"), optional=("source",))
-        unit = str(entry["unit"])
-        if unit not in units:
-            self.fail(f"{key}.unit", f"unit '{unit}'", wanted)
-        value, place = entry["value"], f"{key}.value"
-        _check_number(value, place if self.where is None else f"{self.where}: {place}", length)
-        value = tuple(float(item) for item in value) if length else float(value)
-        if unit == "deg":
-            value = tuple(math.radians(item) for item in value)
-        source = entry.get("source")
-        if source is not None:
-            self.sources[key] = (value, self.text(source, f"{key}.source"))
-        return value
-
-    def angles(self, entry, key):
-        return self.quantity(entry, key, ("rad", "deg"), length=2)
-
-    def effects(self, entries):
-        if not isinstance(entries, (list, tuple)):
-            self.fail("suggested_effects", f"{entries!r}"[:80], "a list of effects")
-        names = []
-        for index, entry in enumerate(entries, start=1):
-            key = f"suggested_effects[{index}]"
-            if isinstance(entry, Mapping):
-                self.keys(entry, key, ("effect", "source"))
-                effect = self.text(entry["effect"], f"{key}.effect")
-                self.sources[key] = (effect, self.text(entry["source"], f"{key}.source"))
-            else:
-                effect = self.text(entry, key)
-            if not re.fullmatch(r"\w+(:\w+=[^,=]+(,\w+=[^,=]+)*)?", effect):
-                self.fail(key, f"'{effect}'", "NAME:parameter=value,...")
-            names.append(effect)
-        return tuple(names)

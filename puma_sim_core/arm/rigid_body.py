@@ -2,10 +2,9 @@
 # Copyright the puma-sim contributors
 """The rigid body: inertia D, centripetal and Coriolis coefficients C, gravity torque G.
 
-Two forms of the same mechanics. The closed form (equations 4.9 to 4.47, with their misprints
-corrected and with products of inertia) is a handful of constants times sines and cosines of q2, q3
-and q2 + q3. The trace form (equations 3.22 to 3.28) holds for any number of links and is the
-reference of the closed form. In both, ``F = (D + Ia) qdd + qd' C qd + G``.
+The closed form (equations 4.9 to 4.47, with their misprints corrected and with products of inertia)
+is a handful of constants times sines and cosines of q2, q3 and q2 + q3, in
+``F = (D + Ia) qdd + qd' C qd + G``. Tests compare it with the trace form (equations 3.22 to 3.28).
 """
 
 from __future__ import annotations
@@ -13,9 +12,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from puma_sim_core.arm.arm import ArmParameters
-from puma_sim_core.arm.kinematics import dh_table, first_derivatives, second_derivatives
+from puma_sim_core.arm.arm import ArmParameters, Link
+from puma_sim_core.arm.kinematics import as_angles
 
 
 class Lumps(NamedTuple):
@@ -67,7 +67,7 @@ def lumped_constants(arm: ArmParameters) -> Lumps:
     D12 and D13 are those of w times the derivatives of X, and the rest belongs to the plane arm.
     """
     a2, a3, d3, g = arm.a2, arm.a3, arm.d3, arm.gravity
-    _, link2, link3 = arm.links
+    link1, link2, link3 = arm.links
     ia1, ia2, ia3 = (motor.inertia for motor in arm.motors)
     m2, m3 = link2.mass, link3.mass
     x2, y2, z2 = (m2 * value for value in link2.centre)
@@ -82,16 +82,7 @@ def lumped_constants(arm: ArmParameters) -> Lumps:
     reach = m3 * a3 + x3  # of a3 + x over link 3
     e0 = fore + zz3
     return Lumps(
-        A0=(
-            arm.links[0].mass * arm.links[0].gyration_squared[1]
-            + ia1
-            + yy2
-            + zz2
-            + yy3
-            + zz3
-            + m3 * d3 * d3
-            + 2 * d3 * y3
-        ),
+        A0=link1.mass * link1.gyration_squared[1] + ia1 + yy2 + zz2 + yy3 + zz3 + m3 * d3 * d3 + 2 * d3 * y3,
         A1=upper - yy2 + m3 * a2 * a2,
         A2=-2 * (a2 * y2 + xy2),
         A3=fore - zz3,
@@ -114,7 +105,7 @@ def lumped_constants(arm: ArmParameters) -> Lumps:
     )
 
 
-def inertia(q, arm: ArmParameters) -> np.ndarray:
+def inertia(q: ArrayLike, arm: ArmParameters) -> np.ndarray:
     """D(q), rigid links alone, without the motor inertias Ia.
 
     q : (..., 3) joint angles [rad], real or complex. Returns (..., 3, 3) [kg.m^2];
@@ -125,16 +116,8 @@ def inertia(q, arm: ArmParameters) -> np.ndarray:
     d13 = k.B1 * su + k.B2 * cu
     h = k.E1 * c3 + k.E2 * s3
     out = np.empty(s2.shape + (3, 3), dtype=s2.dtype)
-    out[..., 0, 0] = (
-        k.A0
-        - arm.motors[0].inertia
-        + k.A1 * c2 * c2
-        + k.A2 * s2 * c2
-        + k.A3 * cu * cu
-        + k.A4 * su * cu
-        + k.A5 * c2 * cu
-        + k.A6 * c2 * su
-    )
+    in_q2 = k.A0 - arm.motors[0].inertia + k.A1 * c2 * c2 + k.A2 * s2 * c2
+    out[..., 0, 0] = in_q2 + k.A3 * cu * cu + k.A4 * su * cu + k.A5 * c2 * cu + k.A6 * c2 * su
     out[..., 0, 1] = out[..., 1, 0] = k.B3 * s2 + k.B4 * c2 + d13
     out[..., 0, 2] = out[..., 2, 0] = d13
     out[..., 1, 1] = k.E3 - arm.motors[1].inertia + 2 * h
@@ -143,7 +126,7 @@ def inertia(q, arm: ArmParameters) -> np.ndarray:
     return out
 
 
-def coriolis(q, arm: ArmParameters) -> np.ndarray:
+def coriolis(q: ArrayLike, arm: ArmParameters) -> np.ndarray:
     """C(q): the torque at joint i is the sum over j and k of C[i, j, k] qd_j qd_k.
 
     q : (..., 3) joint angles [rad], real or complex. Returns (..., 3, 3, 3) [kg.m^2], symmetric in
@@ -169,7 +152,7 @@ def coriolis(q, arm: ArmParameters) -> np.ndarray:
     return out
 
 
-def gravity_torque(q, arm: ArmParameters) -> np.ndarray:
+def gravity_torque(q: ArrayLike, arm: ArmParameters) -> np.ndarray:
     """G(q), the torque that holds the arm against gravity.
 
     q : (..., 3) joint angles [rad], real or complex. Returns (..., 3) [N.m];
@@ -183,61 +166,20 @@ def gravity_torque(q, arm: ArmParameters) -> np.ndarray:
     return out
 
 
-def _second_moments(link):
+def _second_moments(link: Link) -> tuple[float, float, float]:
     """Integrals of x^2, y^2, z^2 over the mass [kg.m^2], equation 3.9."""
     kxx, kyy, kzz = link.gyration_squared
     half = link.mass / 2
     return half * (kyy + kzz - kxx), half * (kzz + kxx - kyy), half * (kxx + kyy - kzz)
 
 
-def _sines(q):
-    q = np.asarray(q)
-    if q.dtype.kind not in "fc":
-        q = q.astype(float)
+def _sines(q: ArrayLike) -> tuple[np.ndarray, ...]:
+    q = as_angles(q)
     q2, q3 = q[..., 1], q[..., 2]
     u = q2 + q3
     return np.sin(q2), np.cos(q2), np.sin(q3), np.cos(q3), np.sin(u), np.cos(u)
 
 
-# ---------------------------------------------------------------------------- reference: trace form
-
-
-def trace_inertia(q, pseudo_inertias, table) -> np.ndarray:
-    """D(q) of n revolute links by equations 3.22 and 3.23.
-
-    q : (n,) [rad]; pseudo_inertias : n matrices (4, 4), :attr:`Link.pseudo_inertia`;
-    table : (n, 3) rows (a, alpha, d), :func:`puma_sim_core.arm.kinematics.dh_table`.
-    Returns (n, n) [kg.m^2]. The sum over links starts at the greater of i and j because the inner
-    links do not move with the outer joint: their derivatives vanish.
-    """
-    first = first_derivatives(q, table)
-    return np.einsum("piab,pbc,pjac->ij", first, np.asarray(pseudo_inertias), first)
-
-
-def trace_coriolis(q, pseudo_inertias, table) -> np.ndarray:
-    """C(q) of n revolute links by equations 3.24 and 3.25; arguments of :func:`trace_inertia`.
-
-    Returns (n, n, n) [kg.m^2], C[i, j, k] = sum over p of trace(d2Tp/dqj dqk Jp dTp'/dqi).
-    """
-    first, second = first_derivatives(q, table), second_derivatives(q, table)
-    return np.einsum("pjkab,pbc,piac->ijk", second, np.asarray(pseudo_inertias), first)
-
-
-def trace_gravity(q, pseudo_inertias, table, gravity=9.81) -> np.ndarray:
-    """G(q) of n revolute links by equation 3.28 with its sign corrected.
-
-    Arguments of :func:`trace_inertia`; gravity [m/s^2] down the base axis z0. Returns (n,) [N.m].
-    """
-    first = first_derivatives(q, table)
-    moments = np.asarray(pseudo_inertias)[:, :, 3]
-    return gravity * np.einsum("pib,pb->i", first[:, :, 2, :], moments)
-
-
 def arm_pseudo_inertias(arm: ArmParameters) -> np.ndarray:
     """(3, 4, 4) pseudo inertias of the three links, for the trace form."""
     return np.array([link.pseudo_inertia for link in arm.links])
-
-
-def arm_table(arm: ArmParameters) -> np.ndarray:
-    """(3, 3) Denavit-Hartenberg rows of the first three links, for the trace form."""
-    return dh_table(arm)[:3]

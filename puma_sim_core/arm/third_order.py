@@ -20,13 +20,17 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from puma_sim_core.arm.arm import ArmParameters
 from puma_sim_core.arm.rigid_body import coriolis, gravity_torque, inertia
-from puma_sim_core.errors import ParameterError
+from puma_sim_core.checks import check_choice
 
 #: so small that its square vanishes beside 1 in double precision, and far from underflow
 _STEP = 1e-40
+#: equation 5.2 as physics has it, F = N kt i, and as it is printed, F = kt i
+TORQUE_FORMS = ("physical", "printed")
+_NONE = (0.0, 0.0, 0.0)
 
 
 class ThirdOrderMatrices(NamedTuple):
@@ -58,26 +62,19 @@ class ThirdOrderMatrices(NamedTuple):
 
 def joint_torque_per_ampere(arm: ArmParameters, torque_form: str = "physical") -> np.ndarray:
     """(3,) kT [N.m/A]: N kt ("physical"), or kt as equation 5.2 is printed ("printed").
-
-    Raises
-    ------
-    ParameterError : another torque form.
+    ParameterError for another.
     """
-    if torque_form not in ("physical", "printed"):
-        raise ParameterError(f"torque_form '{torque_form}'", expected="physical or printed")
-    return np.array(
-        [motor.torque_constant * (motor.gear_ratio if torque_form == "physical" else 1) for motor in arm.motors]
-    )
+    check_choice(torque_form, "torque_form", TORQUE_FORMS)
+    return np.array([m.torque_constant * (m.gear_ratio if torque_form == "physical" else 1) for m in arm.motors])
 
 
-def matrices(q, qd, arm: ArmParameters, viscous=(0.0, 0.0, 0.0), torque_form: str = "physical") -> ThirdOrderMatrices:
+def matrices(
+    q: ArrayLike, qd: ArrayLike, arm: ArmParameters, viscous: ArrayLike = _NONE, torque_form: str = "physical"
+) -> ThirdOrderMatrices:
     """Named matrices at a state.
 
     q [rad], qd [rad/s], viscous [N.m.s/rad] : (3,), real.
-
-    Raises
-    ------
-    ParameterError : unknown torque form.
+    ParameterError: unknown torque form.
     """
     q, qd, viscous = (np.asarray(item, dtype=float) for item in (q, qd, viscous))
     resistance, inductance, emf = _motor_constants(arm)
@@ -99,15 +96,20 @@ def matrices(q, qd, arm: ArmParameters, viscous=(0.0, 0.0, 0.0), torque_form: st
     )
 
 
-def jerk(q, qd, qdd, v, arm: ArmParameters, viscous=(0.0, 0.0, 0.0), torque_form: str = "physical") -> np.ndarray:
+def jerk(
+    q: ArrayLike,
+    qd: ArrayLike,
+    qdd: ArrayLike,
+    v: ArrayLike,
+    arm: ArmParameters,
+    viscous: ArrayLike = _NONE,
+    torque_form: str = "physical",
+) -> np.ndarray:
     """Third derivative of the joint angles, equation 5.9.
 
     q [rad], qd [rad/s], qdd [rad/s^2], v [V], viscous [N.m.s/rad] : (3,), real.
     Returns (3,) [rad/s^3].
-
-    Raises
-    ------
-    ParameterError : unknown torque form.
+    ParameterError: unknown torque form.
     """
     m = matrices(q, qd, arm, viscous, torque_form)
     right = (
@@ -120,37 +122,26 @@ def jerk(q, qd, qdd, v, arm: ArmParameters, viscous=(0.0, 0.0, 0.0), torque_form
 
 
 def acceleration_from_current(
-    q, qd, current, arm: ArmParameters, viscous=(0.0, 0.0, 0.0), torque_form: str = "physical"
+    q: ArrayLike,
+    qd: ArrayLike,
+    current: ArrayLike,
+    arm: ArmParameters,
+    viscous: ArrayLike = _NONE,
+    torque_form: str = "physical",
 ) -> np.ndarray:
     """Acceleration of the joints that motor currents give, equations 5.2 and 5.4.
 
     q [rad], qd [rad/s], current [A], viscous [N.m.s/rad] : (3,), real or complex.
     Returns (3,) [rad/s^2].
-
-    Raises
-    ------
-    ParameterError : unknown torque form.
+    ParameterError: unknown torque form.
     """
+    qd = np.asarray(qd)
+    against = np.einsum("ijk,j,k->i", coriolis(q, arm), qd, qd) + np.asarray(viscous) * qd + gravity_torque(q, arm)
     torque = joint_torque_per_ampere(arm, torque_form) * np.asarray(current)
-    return np.linalg.solve(inertia(q, arm) + np.diag(arm.motor_inertia), torque - _velocity_torque(q, qd, arm, viscous))
+    return np.linalg.solve(inertia(q, arm) + np.diag(arm.motor_inertia), torque - against)
 
 
-def current_from_acceleration(
-    q, qd, qdd, arm: ArmParameters, viscous=(0.0, 0.0, 0.0), torque_form: str = "physical"
-) -> np.ndarray:
-    """Motor currents at which the joints accelerate so: the inverse of the function above.
-
-    q [rad], qd [rad/s], qdd [rad/s^2], viscous [N.m.s/rad] : (3,). Returns (3,) [A].
-
-    Raises
-    ------
-    ParameterError : unknown torque form.
-    """
-    torque = (inertia(q, arm) + np.diag(arm.motor_inertia)) @ np.asarray(qdd) + _velocity_torque(q, qd, arm, viscous)
-    return torque / joint_torque_per_ampere(arm, torque_form)
-
-
-def current_rate(qd, current, v, arm: ArmParameters) -> np.ndarray:
+def current_rate(qd: ArrayLike, current: ArrayLike, v: ArrayLike, arm: ArmParameters) -> np.ndarray:
     """di/dt of the motor circuits, equation 5.1: (v - R i - ke N qd) / L.
 
     qd [rad/s], current [A], v [V] : (3,), real or complex. Returns (3,) [A/s].
@@ -159,11 +150,6 @@ def current_rate(qd, current, v, arm: ArmParameters) -> np.ndarray:
     return (np.asarray(v) - resistance * np.asarray(current) - emf * np.asarray(qd)) / inductance
 
 
-def _velocity_torque(q, qd, arm, viscous):
-    qd = np.asarray(qd)
-    return np.einsum("ijk,j,k->i", coriolis(q, arm), qd, qd) + np.asarray(viscous) * qd + gravity_torque(q, arm)
-
-
-def _motor_constants(arm):
+def _motor_constants(arm: ArmParameters) -> np.ndarray:
     """R, L and ke N of the three motors."""
     return np.array([(m.resistance, m.inductance, m.back_emf * m.gear_ratio) for m in arm.motors]).T

@@ -28,35 +28,41 @@ _SHOULDER_HEIGHT = 0.672
 _COLOURS = {"grey": "0.35 0.36 0.38 1", "white": "0.90 0.90 0.87 1", "orange": "0.86 0.45 0.14 1"}
 
 
+_NOWHERE = (0.0, 0.0, 0.0)
+
+
 def _numbers(values: Sequence[float]) -> str:
     return " ".join(repr(float(value)) for value in values)
 
 
-def _origin(parent: ET.Element, xyz: Sequence[float], rpy: Sequence[float] = (0, 0, 0)) -> None:
+def _origin(parent: ET.Element, xyz: Sequence[float], rpy: Sequence[float]) -> None:
     ET.SubElement(parent, "origin", xyz=_numbers(xyz), rpy=_numbers(rpy))
 
 
-def _shape(link: ET.Element, colour: str, xyz, rpy=(0, 0, 0), *, box=None, cylinder=None, sphere=None) -> None:
+def _shape(
+    link: ET.Element,
+    colour: str,
+    xyz: Sequence[float],
+    form: str,
+    rpy: Sequence[float] = _NOWHERE,
+    **sizes: float | str,
+) -> None:
     """Add the same shape as what is seen and what collides."""
     for kind in ("visual", "collision"):
         element = ET.SubElement(link, kind)
         _origin(element, xyz, rpy)
-        geometry = ET.SubElement(element, "geometry")
-        if box is not None:
-            ET.SubElement(geometry, "box", size=_numbers(box))
-        elif cylinder is not None:
-            ET.SubElement(geometry, "cylinder", radius=repr(cylinder[0]), length=repr(cylinder[1]))
-        else:
-            ET.SubElement(geometry, "sphere", radius=repr(sphere))
+        ET.SubElement(ET.SubElement(element, "geometry"), form, {name: str(size) for name, size in sizes.items()})
         if kind == "visual":
             ET.SubElement(element, "material", name=colour)
 
 
-def _joint(robot: ET.Element, name: str, kind: str, parent: str, child: str, xyz, rpy) -> ET.Element:
+def _joint(
+    robot: ET.Element, name: str, kind: str, links: Sequence[str], xyz: Sequence[float], rpy: Sequence[float]
+) -> ET.Element:
     joint = ET.SubElement(robot, "joint", name=name, type=kind)
     _origin(joint, xyz, rpy)
-    ET.SubElement(joint, "parent", link=parent)
-    ET.SubElement(joint, "child", link=child)
+    ET.SubElement(joint, "parent", link=links[0])
+    ET.SubElement(joint, "child", link=links[1])
     return joint
 
 
@@ -85,32 +91,32 @@ def arm_urdf(
     a2, a3, d3, d4 = arm.a2, arm.a3, arm.d3, arm.d4
 
     column = _SHOULDER_HEIGHT - 0.10
-    _shape(links[base_link], "grey", (0, 0, -0.10 - column / 2), cylinder=(0.09, column))
-    _shape(links[base_link], "grey", (0, 0, -_SHOULDER_HEIGHT + 0.01), box=(0.34, 0.34, 0.02))
+    foot = _numbers((0.34, 0.34, 0.02))
+    _shape(links[base_link], "grey", (0, 0, -0.10 - column / 2), "cylinder", radius=0.09, length=column)
+    _shape(links[base_link], "grey", (0, 0, -_SHOULDER_HEIGHT + 0.01), "box", size=foot)
     # the shoulder lies along z1, which is y of the link that turns with joint 1
-    _shape(links["link1"], "white", (0, d3 / 4, 0), (_HALF_TURN, 0, 0), cylinder=(0.10, 0.18 + d3 / 2))
-    _shape(links["link2"], "white", (a2 / 2 - 0.06, 0, d3 + 0.09), box=(a2 + 0.26, 0.20, 0.08))
-    _shape(links["link2"], "orange", (a2, 0, d3 + 0.04), cylinder=(0.065, 0.16))
+    across = (_HALF_TURN, 0, 0)
+    _shape(links["link1"], "white", (0, d3 / 4, 0), "cylinder", across, radius=0.10, length=0.18 + d3 / 2)
+    _shape(links["link2"], "white", (a2 / 2 - 0.06, 0, d3 + 0.09), "box", size=_numbers((a2 + 0.26, 0.20, 0.08)))
+    _shape(links["link2"], "orange", (a2, 0, d3 + 0.04), "cylinder", radius=0.065, length=0.16)
     # z3 is -y of the link that turns with joint 3
-    _shape(links["link3"], "white", (a3, -d4 / 2 + 0.04, d3), box=(0.11, d4 + 0.08, 0.09))
-    _shape(links["link3"], "orange", (a3, -d4, d3), sphere=0.055)
+    _shape(links["link3"], "white", (a3, -d4 / 2 + 0.04, d3), "box", size=_numbers((0.11, d4 + 0.08, 0.09)))
+    _shape(links["link3"], "orange", (a3, -d4, d3), "sphere", radius=0.055)
 
-    origins = (((0, 0, 0), (0, 0, 0)), ((0, 0, 0), (-_HALF_TURN, 0, 0)), ((a2, 0, 0), (0, 0, 0)))
+    origins = ((_NOWHERE, _NOWHERE), (_NOWHERE, (-_HALF_TURN, 0, 0)), ((a2, 0, 0), _NOWHERE))
     for index, (xyz, rpy) in enumerate(origins):
-        joint = _joint(robot, joint_names[index], "revolute", link_names[index], link_names[index + 1], xyz, rpy)
+        joint = _joint(robot, joint_names[index], "revolute", link_names[index : index + 2], xyz, rpy)
         ET.SubElement(joint, "axis", xyz="0 0 1")
-        motor = arm.motors[index]
+        motor, (low, high) = arm.motors[index], arm.joint_ranges[index]
         ratio = abs(motor.gear_ratio)
-        low, high = arm.joint_ranges[index]
-        ET.SubElement(
-            joint,
-            "limit",
-            lower=repr(float(low)),
-            upper=repr(float(high)),
-            effort=repr(ratio * motor.torque_constant * voltage_limit / motor.resistance),
-            velocity=repr(voltage_limit / (ratio * motor.back_emf)),
-        )
-    _joint(robot, "tool0_fixed", "fixed", "link3", "tool0", (a3, -d4, d3), (_HALF_TURN, 0, 0))
+        limits = {
+            "lower": low,
+            "upper": high,
+            "effort": ratio * motor.torque_constant * voltage_limit / motor.resistance,
+            "velocity": voltage_limit / (ratio * motor.back_emf),
+        }
+        ET.SubElement(joint, "limit", {name: repr(float(value)) for name, value in limits.items()})
+    _joint(robot, "tool0_fixed", "fixed", link_names[3:], (a3, -d4, d3), across)
 
     ET.indent(robot)
     return '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"

@@ -15,21 +15,13 @@ import sys
 from collections.abc import Callable, Sequence
 
 from puma_sim_core import __version__
-from puma_sim_core.cli import (
-    excite,
-    explain,
-    identify_controller,
-    listing,
-    model,
-    recover,
-    replay,
-    simulate,
-    thesis,
-    tune,
-)
+from puma_sim_core.cli import excite, explain, identify_controller, listing, records, simulate, thesis, tune
 from puma_sim_core.errors import PumaSimError
 
-_COMMANDS = (simulate, explain, excite, replay, recover, listing, model, thesis, tune, identify_controller)
+COMMANDS = (
+    *(simulate.COMMAND, explain.COMMAND, excite.COMMAND, records.REPLAY, records.RECOVER, listing.COMMAND),
+    *(records.MODEL, thesis.COMMAND, tune.COMMAND, identify_controller.COMMAND),
+)
 #: a value such as -0.1,0,0, which argparse would take for an option
 _NEGATIVE = re.compile(r"-\.?[0-9]")
 
@@ -43,11 +35,11 @@ def parser() -> argparse.ArgumentParser:
     )
     top.add_argument("--version", action="version", version=f"puma-sim {__version__}")
     commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    for command in _COMMANDS:
+    for command in COMMANDS:
         sub = commands.add_parser(
-            command.NAME,
-            help=command.SUMMARY,
-            description=command.__doc__,
+            command.name,
+            help=command.summary,
+            description=command.description,
             allow_abbrev=False,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
@@ -80,7 +72,7 @@ def _run(options: argparse.Namespace) -> int:
         from puma_sim_core.effects import load_effects
 
         load_effects(options.effects)
-    return options.run(options)
+    return int(options.run(options))
 
 
 def _with_equals(arguments: Sequence[str]) -> list[str]:

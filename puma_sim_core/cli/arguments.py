@@ -5,13 +5,24 @@
 from __future__ import annotations
 
 import argparse
-from math import isfinite
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from math import inf, isfinite
+from typing import TYPE_CHECKING, NamedTuple
 
 from puma_sim_core.errors import ParameterError
 
 if TYPE_CHECKING:
     from puma_sim_core.plant.plant import Plant
+
+
+class Command(NamedTuple):
+    """A subcommand: its name, a summary, the text of its help, and what declares its options and runs it."""
+
+    name: str
+    summary: str
+    description: str | None
+    add_arguments: Callable[[argparse.ArgumentParser], None]
+    run: Callable[[argparse.Namespace], int]
 
 
 def number(text: str, option: str) -> float:
@@ -25,20 +36,23 @@ def number(text: str, option: str) -> float:
     return value
 
 
-def whole_number(text: str, option: str, least: int) -> int:
-    """The whole number, `least` or more, that an option was given; raises ParameterError."""
-    try:
-        value = int(text)
-    except ValueError:
-        value = least - 1
-    if value < least:
-        raise ParameterError(f"'{text}'", where=option, expected=f"a whole number, {least} or more")
+def positive_number(text: str, option: str) -> float:
+    """The number above 0 that an option was given; raises ParameterError."""
+    value = number(text, option)
+    if value <= 0.0:
+        raise ParameterError(f"'{text}'", where=option, expected="a number above 0")
     return value
 
 
-def three_numbers(text: str, option: str, unit: str) -> tuple[float, float, float]:
-    """The three finite numbers that an option was given; raises ParameterError."""
-    return joint_numbers(text, option, unit, 3)
+def whole_number(text: str, option: str, least: float = -inf) -> int:
+    """The whole number, `least` or more, that an option was given; raises ParameterError."""
+    try:
+        if (value := int(text)) >= least:
+            return value
+    except ValueError:
+        pass
+    expected = "a whole number" if least == -inf else f"a whole number, {least} or more"
+    raise ParameterError(f"'{text}'", where=option, expected=expected)
 
 
 def joint_numbers(text: str, option: str, unit: str, joints: int) -> tuple[float, ...]:
@@ -53,15 +67,38 @@ def joint_numbers(text: str, option: str, unit: str, joints: int) -> tuple[float
     return values
 
 
+def add_source_arguments(parser: argparse.ArgumentParser, parameters: str, model: str) -> None:
+    """Declare --parameters and --model, one of which may be given, with these texts."""
+    source = parser.add_mutually_exclusive_group()
+    source.add_argument("--parameters", metavar="SET|FILE", help=parameters)
+    source.add_argument("--model", metavar="FILE", help=model)
+
+
+def add_mechanism_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare --plant, --parameters, --model and --seed."""
+    parser.add_argument(
+        "--plant",
+        metavar="NAME|FILE",
+        default="puma560",
+        help="mechanism: puma560 (default), pendulum, slide, or a YAML file",
+    )
+    add_source_arguments(
+        parser,
+        "published set or parameter file to start from (`puma-sim list`)",
+        "model file to start from: parameters and effects in one",
+    )
+    parser.add_argument(
+        "--seed", metavar="N", default="0", help="whole number from which all that is random follows (default 0)"
+    )
+
+
 def add_plant_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options that `plant_of` reads."""
-    source = parser.add_mutually_exclusive_group()
-    source.add_argument(
-        "--parameters",
-        metavar="SET|FILE",
-        help="published set or parameter file of the arm (default bejczy; `puma-sim list` lists the sets)",
+    add_source_arguments(
+        parser,
+        "published set or parameter file of the arm (default bejczy; `puma-sim list` lists the sets)",
+        "model file: parameters and effects in one",
     )
-    source.add_argument("--model", metavar="FILE", help="model file: parameters and effects in one")
     parser.add_argument(
         "--effect",
         metavar="NAME:KEY=VALUE,...",
@@ -90,9 +127,8 @@ def plant_of(options: argparse.Namespace) -> Plant:
     if options.torque_form is None:
         return base
     if base.joints != 3:
-        raise ParameterError(
-            f"--torque-form with a model of {base.joints} joint", expected="a model of an arm: it is about its gears"
-        )
+        what = f"--torque-form with a model of {base.joints} joint"
+        raise ParameterError(what, expected="a model of an arm: it is about its gears")
     return Plant(base.arm, base.effects, options.torque_form)
 
 

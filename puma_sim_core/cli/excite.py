@@ -19,13 +19,17 @@ from __future__ import annotations
 
 import argparse
 import sys
+from typing import TYPE_CHECKING
 
-from puma_sim_core.cli.arguments import number, whole_number
-from puma_sim_core.cli.output import Progress, announce_compilation, bar, check_output, output_file
+from puma_sim_core.cli.arguments import Command, add_mechanism_arguments, number, positive_number, whole_number
+from puma_sim_core.cli.output import Progress, announce_compilation, check_output, output_file
 from puma_sim_core.errors import ParameterError
 
-NAME = "excite"
-SUMMARY = "write voltages that tell two effects apart, or show one"
+if TYPE_CHECKING:
+    import numpy as np
+
+    from puma_sim_core.identify.experiment.design import Design
+    from puma_sim_core.plant.mechanism import Mechanism
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -41,30 +45,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "that is to follow it under its own controller",
     )
     parser.add_argument("--joint", metavar="J", help="joint of effects that name none")
-    parser.add_argument(
-        "--plant",
-        metavar="NAME|FILE",
-        default="puma560",
-        help="mechanism: puma560 (default), pendulum, slide, or a YAML file",
-    )
-    source = parser.add_mutually_exclusive_group()
-    source.add_argument(
-        "--parameters", metavar="SET|FILE", help="published set or parameter file to start from (`puma-sim list`)"
-    )
-    source.add_argument("--model", metavar="FILE", help="model file to start from: parameters and effects in one")
     parser.add_argument("--seconds", metavar="S", default="10", help="length of the record (10)")
     parser.add_argument("--rate", metavar="HZ", help="rows a second (1071.43: the servo period of 28/30 ms)")
     parser.add_argument(
         "--max-voltage",
         metavar="V",
-        help="greatest voltage (40 for an arm; of a single joint ten times that of a middling friction)",
+        help="greatest voltage (40 for an arm; of a single joint ten times that of its nominal friction)",
     )
     parser.add_argument(
         "--max-velocity", metavar="W", help="greatest speed of a joint [rad/s or m/s] (0.6 of its range a second)"
     )
-    parser.add_argument(
-        "--seed", metavar="N", default="0", help="whole number from which all that is random follows (default 0)"
-    )
+    add_mechanism_arguments(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -73,7 +64,7 @@ def run(options: argparse.Namespace) -> int:
     joint = None if options.joint is None else whole_number(options.joint, "--joint", 1)
     seconds = number(options.seconds, "--seconds")
     greatest = {
-        name: None if (text := getattr(options, name)) is None else _positive(text, f"--{name.replace('_', '-')}")
+        name: None if (text := getattr(options, name)) is None else positive_number(text, f"--{name.replace('_', '-')}")
         for name in ("max_voltage", "max_velocity", "rate")
     }
     inputs = [path for path in (options.plant, options.parameters, options.model) if path is not None]
@@ -85,6 +76,7 @@ def run(options: argparse.Namespace) -> int:
 
     from puma_sim_core.identify.experiment.design import design, suspects_of
     from puma_sim_core.identify.experiment.excitation import Limits
+    from puma_sim_core.identify.settings import SELECTION
     from puma_sim_core.plant.mechanism_file import load_mechanism
     from puma_sim_core.simulation.simulator import SERVO_PERIOD
 
@@ -100,38 +92,26 @@ def run(options: argparse.Namespace) -> int:
             seed=seed,
             limits=limits,
             rate=greatest["rate"] or 1.0 / SERVO_PERIOD,
-            progress=lambda what, share: shown(bar(what, share), share, 1),
+            progress=shown,
         )
         head = _head(found, mechanism, options)
         _write(options.out, head, found.time, "voltage", found.voltage)
         if options.setpoints is not None:
             _write(options.setpoints, head, found.time, "setpoint", found.setpoint)
-    from puma_sim_core.identify.settings import SELECTION
-
     if found.nats < SELECTION.least_gain:
-        print(
-            f"warning: {found.nats:.2g} nat are less than a name takes ({SELECTION.least_gain:g}); give it "
-            "more time, voltage or range",
-            file=sys.stderr,
-        )
+        least = f"{found.nats:.2g} nat are less than a name takes ({SELECTION.least_gain:g})"
+        print(f"warning: {least}; give it more time, voltage or range", file=sys.stderr)
     print(found.sentence, file=sys.stderr)
     print(_start(found, mechanism), file=sys.stderr)
     return 0
 
 
-def _positive(text: str, option: str) -> float:
-    value = number(text, option)
-    if value <= 0.0:
-        raise ParameterError(f"'{text}'", where=option, expected="a number above 0")
-    return value
-
-
-def _start(found, mechanism) -> str:
+def _start(found: Design, mechanism: Mechanism) -> str:
     pose = ",".join(f"{q:.6f}" for q in found.start)
     return f"start at rest at {pose} {mechanism.position_unit}"
 
 
-def _head(found, mechanism, options) -> list[str]:
+def _head(found: Design, mechanism: Mechanism, options: argparse.Namespace) -> list[str]:
     source = f", {options.parameters or options.model}" if (options.parameters or options.model) else ""
     return [
         f"puma-sim excite --separate {','.join(found.suspects)}",
@@ -141,7 +121,7 @@ def _head(found, mechanism, options) -> list[str]:
     ]
 
 
-def _write(path: str, head: list[str], time, group: str, values) -> None:
+def _write(path: str, head: list[str], time: np.ndarray, group: str, values: np.ndarray) -> None:
     names = ["time", *(f"{group}{j + 1}" for j in range(values.shape[1]))]
     with output_file(path) as file:
         for line in head:
@@ -149,3 +129,6 @@ def _write(path: str, head: list[str], time, group: str, values) -> None:
         file.write(",".join(names) + "\n")
         for t, row in zip(time.tolist(), values.tolist()):
             file.write(",".join([f"{t:.9f}", *(f"{v:.6f}" for v in row)]) + "\n")
+
+
+COMMAND = Command("excite", "write voltages that tell two effects apart, or show one", __doc__, add_arguments, run)

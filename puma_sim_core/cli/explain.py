@@ -25,12 +25,9 @@ import argparse
 import os
 import re
 
-from puma_sim_core.cli.arguments import whole_number
-from puma_sim_core.cli.output import Progress, announce_compilation, bar
+from puma_sim_core.cli.arguments import Command, add_mechanism_arguments, whole_number
+from puma_sim_core.cli.output import Progress, announce_compilation
 from puma_sim_core.errors import ParameterError
-
-NAME = "explain"
-SUMMARY = "find the physical effect that the model lacks in a measured log"
 
 _COLUMN = re.compile(r"time|enable|(voltage|position|velocity|current|setpoint)[1-9][0-9]*")
 
@@ -53,26 +50,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folder for report.json, report.html and model.yaml; made if it does not exist",
     )
     parser.add_argument(
-        "--plant",
-        metavar="NAME|FILE",
-        default="puma560",
-        help="mechanism: puma560 (default), pendulum, slide, or a YAML file",
-    )
-    source = parser.add_mutually_exclusive_group()
-    source.add_argument(
-        "--parameters", metavar="SET|FILE", help="published set or parameter file to start from (`puma-sim list`)"
-    )
-    source.add_argument("--model", metavar="FILE", help="model file to start from: parameters and effects in one")
-    parser.add_argument(
         "--columns",
         metavar="OURS=THEIRS,...",
         action="append",
         default=[],
         help="names of a CSV's columns, such as time=t_s,voltage1=motor_V,position1=q_rad; may stand more than once",
     )
-    parser.add_argument(
-        "--seed", metavar="N", default="0", help="whole number from which all that is random follows (default 0)"
-    )
+    add_mechanism_arguments(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -97,7 +81,7 @@ def run(options: argparse.Namespace) -> int:
             model=options.model,
             columns=columns,
             seed=seed,
-            progress=lambda what, share: shown(bar(what, share), share, 1),
+            progress=shown,
         )
         paths = write_explanation(explanation, options.out)
     print(explanation.sentence)
@@ -114,19 +98,13 @@ def _columns(texts: list[str]) -> dict[str, str] | None:
         if not (ours and equals and theirs):
             raise ParameterError(f"'{item}'", where="--columns", expected="OURS=THEIRS, such as time=t_s")
         if not _COLUMN.fullmatch(ours):
-            raise ParameterError(
-                f"unknown column '{ours}'",
-                where="--columns",
-                expected="time, enable, voltage1, position1, velocity1, current1, setpoint1, voltage2 and so on",
-            )
+            expected = "time, enable, voltage1, position1, velocity1, current1, setpoint1, voltage2 and so on"
+            raise ParameterError(f"unknown column '{ours}'", where="--columns", expected=expected)
         if ours in found:
             raise ParameterError(f"'{ours}' is given twice", where="--columns", expected="each once")
         if theirs in found.values():
-            raise ParameterError(
-                f"'{theirs}' is given for two columns",
-                where="--columns",
-                expected="a column of the file for one of ours",
-            )
+            what = f"'{theirs}' is given for two columns"
+            raise ParameterError(what, where="--columns", expected="a column of the file for one of ours")
         found[ours] = theirs
     return found or None
 
@@ -141,3 +119,8 @@ def _check_logs(logs: list[str], held_out: list[str]) -> None:
                 what = "stands twice" if seen[real] == role else "is to be fitted and held out"
                 raise ParameterError(what, where=path, expected="each log once")
             seen[real] = role
+
+
+COMMAND = Command(
+    "explain", "find the physical effect that the model lacks in a measured log", __doc__, add_arguments, run
+)

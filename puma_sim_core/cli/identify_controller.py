@@ -18,18 +18,16 @@ refused.
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
 
-from puma_sim_core.cli.arguments import number
+from puma_sim_core.cli.arguments import Command, number
 from puma_sim_core.errors import ParameterError, RecordingError
 
 if TYPE_CHECKING:
     from puma_sim_core.tuning.controller_log import ControllerLog
     from puma_sim_core.tuning.pid_identification import GainComparison, PidEstimate
     from puma_sim_core.tuning.transfer_function import TransferFunction
-
-NAME = "identify-controller"
-SUMMARY = "find a controller's PID gains from a log"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -63,7 +61,7 @@ def run(options: argparse.Namespace) -> int:
     """Identify, compare and print; raises ParameterError and RecordingError."""
     if options.level is not None and options.second is None:
         raise ParameterError("--level with one log", expected="a second log, to compare with")
-    settings = {"form": options.form, "derivative": options.derivative}
+    settings: dict[str, Any] = {"form": options.form, "derivative": options.derivative}
     for name in ("confidence", "forgetting", "limit"):
         if (text := getattr(options, name)) is not None:
             settings[name] = number(text, f"--{name}")
@@ -81,7 +79,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _log(path: str, options) -> ControllerLog:
+def _log(path: str, options: argparse.Namespace) -> ControllerLog:
     from puma_sim_core.tuning.controller_log import read_controller_log
 
     log = read_controller_log(path, _whole(options.joint, "--joint"))
@@ -100,7 +98,7 @@ def _whole(text: str | None, option: str) -> int | None:
     return int(value)
 
 
-def _free(log, estimate, options) -> TransferFunction | None:
+def _free(log: ControllerLog, estimate: PidEstimate, options: argparse.Namespace) -> TransferFunction | None:
     """The transfer function with a free denominator, where there is one from the error alone."""
     from puma_sim_core.tuning.transfer_function import METHODS, identify_transfer_function
 
@@ -117,7 +115,7 @@ def _free(log, estimate, options) -> TransferFunction | None:
         return None
 
 
-def _report(e: PidEstimate, free: TransferFunction | None):
+def _report(e: PidEstimate, free: TransferFunction | None) -> Iterator[str]:
     """Lines on one record."""
     steps = "".join(
         f", {what} in steps of {value:.4g} {unit}"
@@ -158,7 +156,7 @@ def _derivative(e: PidEstimate) -> str:
         return "  derivative of the error or of the measurement: the setpoint does not tell"
     other = {"error": "measurement", "measurement": "error"}[e.derivative]
     beside = (
-        "as told"
+        "as given"
         if e.other_residual is None
         else f"{e.residual:.3g} V rms are left; of the {other} they would be {e.other_residual:.3g} V"
     )
@@ -180,20 +178,14 @@ def _remainder(e: PidEstimate) -> str:
     )
 
 
-def _verdict(c: GainComparison):
+def _verdict(c: GainComparison) -> Iterator[str]:
     """Lines on two records."""
+    finding = f"the gains {'differ' if c.different else 'may be the same'}"
+    chance = f"chance of such a difference with equal gains {c.p_value:.3g}"
     if c.one_controller_possible is None:
-        yield (
-            f"the gains {'differ' if c.different else 'may be the same'}: chance of such a "
-            f"difference with equal gains {c.p_value:.3g} (level {c.level:g})"
-        )
-    elif c.different:
-        yield (
-            "the gains differ: no one set of gains is within rounding of both logs (chance "
-            f"of such a difference with equal gains {c.p_value:.3g})"
-        )
+        yield f"{finding}: {chance} (level {c.level:g})"
     else:
-        yield (
-            "the gains may be the same: one set of gains is within rounding of both logs "
-            f"(chance of such a difference with equal gains {c.p_value:.3g})"
-        )
+        yield f"{finding}: {'no one' if c.different else 'one'} set of gains is within rounding of both logs ({chance})"
+
+
+COMMAND = Command("identify-controller", "find a controller's PID gains from a log", __doc__, add_arguments, run)

@@ -13,13 +13,11 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
+from puma_sim_core.cli.arguments import Command
 from puma_sim_core.errors import ParameterError
 
 if TYPE_CHECKING:
     from puma_sim_core.effects import Kind, Parameter
-
-NAME = "list"
-SUMMARY = "list parameter sets and effects"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -47,9 +45,8 @@ def run(options: argparse.Namespace) -> int:
     elif name in sets or Path(name).exists():
         print(_parameter_file(name), end="")
     else:
-        raise ParameterError(
-            f"'{name}' is not known", expected=f"a parameter file, or one of {', '.join([*sets, *KINDS])}"
-        )
+        expected = f"a parameter file, or one of {', '.join([*sets, *KINDS])}"
+        raise ParameterError(f"'{name}' is not known", expected=expected)
     return 0
 
 
@@ -81,13 +78,8 @@ def _effect_text(kind: Kind) -> str:
     names = [p.name for p in kind.parameters]
     units = [f"[{p.unit}]" for p in kind.parameters]
     for p, unit in zip(kind.parameters, units):
-        start = (
-            ""
-            if _is_required(p)
-            else f"; {p.default:g} if not given"
-            if p.default is not None
-            else "; taken from the arm if not given"
-        )
+        source = "taken from the arm" if p.default is None else f"{p.default:g}"
+        start = "" if _is_required(p) else f"; {source} if not given"
         lines.append(
             f"    {p.name:{max(map(len, names))}}  {unit:{max(map(len, units))}}  "
             f"{p.low:g} to {p.high:g}: {p.meaning}{start}"
@@ -97,3 +89,6 @@ def _effect_text(kind: Kind) -> str:
 
 def _is_required(parameter: Parameter) -> bool:
     return parameter.default is None and parameter.from_arm is None
+
+
+COMMAND = Command("list", "list parameter sets and effects", __doc__, add_arguments, run)

@@ -9,23 +9,16 @@ import sys
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from typing import TextIO
+from typing import Any, TextIO
 
 from puma_sim_core.errors import PumaSimError, RecordingError
 from puma_sim_core.files import is_special, whole_file
-
-#: a command that takes less than this shows no progress [s]
-_PATIENCE = 0.5
-_BETWEEN = 0.1
-_BAR = 24
 
 
 def check_output(path: str, inputs: Iterable[str] = ()) -> None:
     """Refuse, before the work, a path that cannot be written or that is one of the inputs.
 
-    Raises
-    ------
-    RecordingError : names the path.
+    Raises RecordingError: names the path.
     """
     if path == "-" or is_special(path):
         return
@@ -47,9 +40,7 @@ def check_output(path: str, inputs: Iterable[str] = ()) -> None:
 def output_file(path: str, error: type[PumaSimError] = RecordingError) -> Iterator[TextIO]:
     """A text file to write: standard output for ``-``, else a file that appears as a whole.
 
-    Raises
-    ------
-    error : the file cannot be written; names it.
+    Raises error: the file cannot be written; names it.
     """
     if path != "-":
         with whole_file(path, error) as file:
@@ -61,44 +52,56 @@ def output_file(path: str, error: type[PumaSimError] = RecordingError) -> Iterat
     except BrokenPipeError:
         raise
     except OSError as reason:
-        raise error(
-            f"cannot be written ({reason.strerror})", where="standard output", expected="a place that takes the output"
-        ) from None
+        what, expected = f"cannot be written ({reason.strerror})", "a place that takes the output"
+        raise error(what, where="standard output", expected=expected) from None
 
 
 class Progress:
-    """One changing line on standard error while a command works; nothing where that is no
-    terminal, or where the command is quick. A context manager, which clears the line."""
+    """What a command does and how far it is, on standard error; a context manager.
 
-    def __init__(self, file: TextIO | None = None):
+    A bar on a terminal, from half a second on, which is cleared at the end; elsewhere a line every ten seconds.
+    """
+
+    def __init__(self, file: TextIO | None = None, patience: float = 0.5, between: float = 0.1, lines: float = 10.0):
         self._file = sys.stderr if file is None else file
-        self._shown = False
+        self._terminal = self._file.isatty()
+        self._between = between if self._terminal else lines
         self._start = time.monotonic()
-        self._next = self._start + _PATIENCE if self._file.isatty() else float("inf")
+        self._next = self._start + (patience if self._terminal else lines)
+        self._bar: Any = None
 
-    def __call__(self, what: str, done: int, total: int) -> None:
+    def __call__(self, what: str, share: float) -> None:
+        """Show what is being done and the share 0..1 of the work that is done, if it is time to."""
         now = time.monotonic()
         if now < self._next:
             return
-        self._next = now + _BETWEEN
-        self._shown = True
-        share = done / total if total else 1.0
-        self._file.write(f"\r\x1b[K{what}: {share:4.0%}, {now - self._start:.0f} s")
-        self._file.flush()
+        self._next = now + self._between
+        text = f"{what}: {share:4.0%}, {now - self._start:.0f} s"
+        if not self._terminal:
+            print(f"puma-sim: {text}", file=self._file, flush=True)
+            return
+        if self._bar is None:
+            self._bar = _new_bar(self._file)
+            self._bar.start()
+        self._bar.update(self._bar.task_ids[0], description=text, completed=share, refresh=True)
 
     def __enter__(self) -> Progress:
         return self
 
-    def __exit__(self, *_) -> None:
-        if self._shown:
-            self._file.write("\r\x1b[K")
-            self._file.flush()
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.stop()
 
 
-def bar(what: str, share: float) -> str:
-    """A bar as long as the share of the work that is done, and what is being done."""
-    done = round(_BAR * min(max(share, 0.0), 1.0))
-    return f"[{'#' * done}{'.' * (_BAR - done)}] {what}"
+def _new_bar(file: TextIO) -> Any:
+    from rich.console import Console
+    from rich.progress import BarColumn
+    from rich.progress import Progress as Bar
+
+    console = Console(file=file, force_terminal=True)
+    found = Bar(BarColumn(24), "{task.description}", console=console, auto_refresh=False, transient=True)
+    found.add_task("", total=1.0)
+    return found
 
 
 def announce_compilation() -> None:

@@ -14,7 +14,7 @@ A model of one joint (a pendulum, a slide) has the columns voltage1, position1 a
 
 With --restart the file is a measured log, which has position1..3 [rad] too and may have
 velocity1..3 and current1..3: its voltages go through the arm in open loop, which starts again
-from the measured state as often as told.
+from the measured state every so many seconds.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
 
-from puma_sim_core.cli.arguments import add_plant_arguments, input_files, joint_numbers, number, plant_of
+from puma_sim_core.cli.arguments import Command, add_plant_arguments, input_files, joint_numbers, number, plant_of
 from puma_sim_core.cli.output import Progress, announce_compilation, check_output, output_file
 from puma_sim_core.errors import LimitError, NonFiniteStateError, ParameterError, RecordingError
 
 if TYPE_CHECKING:
+    from puma_sim_core.plant.plant import Plant
     from puma_sim_core.recording.recording import Recording
     from puma_sim_core.simulation.simulator import Constraint, Limits, Simulator
     from puma_sim_core.simulation.windows import OpenLoopErrors
 
-NAME = "simulate"
-SUMMARY = "run a file of voltages through the arm"
 
 _START = (
     ("initial", "position", "rad"),
@@ -83,6 +83,7 @@ def run(options: argparse.Namespace) -> int:
 
     from puma_sim_core.jit import BACKEND
     from puma_sim_core.recording.recording import read_csv, write_rows
+    from puma_sim_core.simulation.windows import run_windows
 
     simulator = _simulator(options)
     plant, joints = simulator.plant, simulator.plant.joints
@@ -97,9 +98,8 @@ def run(options: argparse.Namespace) -> int:
     _check_last_line(options.file)
     span = float(log.time[-1]) - float(log.time[0])
     if not span < _MOST_STEPS * simulator.max_step:
-        raise RecordingError(
-            f"lasts {span:.3g} s", where=options.file, expected=f"times in seconds, fewer than {_MOST_STEPS:g} steps"
-        )
+        expected = f"times in seconds, fewer than {_MOST_STEPS:g} steps"
+        raise RecordingError(f"lasts {span:.3g} s", where=options.file, expected=expected)
     announce_compilation()
     with Progress() as progress:
         errors = None
@@ -107,18 +107,22 @@ def run(options: argparse.Namespace) -> int:
             if options.restart is None:
                 result = _run(simulator, log, limits.acceleration is not None, progress)
             else:
-                result, errors = _run_windows(simulator, log, interval, limits, progress)
+                result, errors = run_windows(
+                    simulator,
+                    log,
+                    interval,
+                    acceleration=limits.acceleration is not None,
+                    report=lambda rows: progress("simulating", rows / len(log)),
+                )
         except NonFiniteStateError as error:
-            raise RecordingError(
-                "the state is no longer finite",
-                where=f"{options.file}, row {error.step + 1} ({log.time[error.step]:.9g} s)",
-                expected="voltages, parameters and a start that the arm can follow",
-            ) from None
+            where = f"{options.file}, row {error.step + 1} ({log.time[error.step]:.9g} s)"
+            expected = "voltages, parameters and a start that the arm can follow"
+            raise RecordingError("the state is no longer finite", where=where, expected=expected) from None
         exceeded = limits.first_exceeded(result)
         if exceeded and options.limits == "error":
             raise LimitError(exceeded[0], expected="a run within its limits")
         with output_file(options.out) as file:
-            write_rows(result, file, lambda rows: progress("writing", rows, len(result)))
+            write_rows(result, file, lambda rows: progress("writing", rows / len(result)))
     for sentence in exceeded:
         print(f"warning: {sentence}", file=sys.stderr)
     for line in _summary(options, plant.position_unit, errors):
@@ -131,34 +135,31 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _check_combination(options) -> None:
+def _check_combination(options: argparse.Namespace) -> None:
     """Refuse options that contradict each other; raises ParameterError."""
     if options.restart is not None:
         for name, _, _ in _START:
             if getattr(options, name) is not None:
-                raise ParameterError(
-                    f"--{name.replace('_', '-')} with --restart",
-                    expected="one of them: a log starts from its measured state",
-                )
+                expected = "one of them: a log starts from its measured state"
+                raise ParameterError(f"--{name.replace('_', '-')} with --restart", expected=expected)
     if options.limits == "off":
         for name in ("max_velocity", "max_acceleration"):
             if getattr(options, name) is not None:
-                raise ParameterError(
-                    f"--{name.replace('_', '-')} with --limits off", expected="--limits report or error"
-                )
+                what = f"--{name.replace('_', '-')} with --limits off"
+                raise ParameterError(what, expected="--limits report or error")
 
 
-def _simulator(options) -> Simulator:
-    from puma_sim_core.simulation.simulator import SERVO_PERIOD, Simulator, check_step
+def _simulator(options: argparse.Namespace) -> Simulator:
+    from puma_sim_core.simulation.run_inputs import check_step
+    from puma_sim_core.simulation.simulator import SERVO_PERIOD, Simulator
 
-    step = (
-        SERVO_PERIOD if options.max_step is None else check_step(number(options.max_step, "--max-step"), "--max-step")
-    )
+    text, option = options.max_step, "--max-step"
+    step = SERVO_PERIOD if text is None else check_step(number(text, option), option)
     plant = plant_of(options)
     return Simulator(plant, constraints=_constraints(options.constrain, plant.joints), max_step=step)
 
 
-def _constraints(texts, joints: int) -> list[Constraint]:
+def _constraints(texts: list[str], joints: int) -> list[Constraint]:
     """One constraint a joint from the texts of --constrain; raises ParameterError."""
     from puma_sim_core.simulation.simulator import CONSTRAINTS, Constraint
 
@@ -174,13 +175,12 @@ def _constraints(texts, joints: int) -> list[Constraint]:
         try:
             found[name] = Constraint.parse(how)
         except ParameterError as error:
-            raise ParameterError(
-                error.what, where=f"--constrain {text}: {error.where}", expected=error.expected
-            ) from None
+            where = f"--constrain {text}: {error.where}" if error.where else f"--constrain {text}"
+            raise ParameterError(error.what, where=where, expected=error.expected) from None
     return [found.get(name, Constraint()) for name in names]
 
 
-def _start(options, plant) -> dict:
+def _start(options: argparse.Namespace, plant: Plant) -> dict[str, tuple[float, ...]]:
     """Arguments of `Simulator.reset`."""
     return {
         name: joint_numbers(
@@ -191,12 +191,12 @@ def _start(options, plant) -> dict:
     }
 
 
-def _limits(options, simulator) -> Limits:
+def _limits(options: argparse.Namespace, simulator: Simulator) -> Limits:
     from puma_sim_core.simulation.simulator import Limits
 
     joints, rad = simulator.plant.joints, simulator.plant.position_unit
 
-    def greatest(name, unit):
+    def greatest(name: str, unit: str) -> tuple[float, ...] | None:
         text, option = getattr(options, name), f"--{name.replace('_', '-')}"
         values = None if text is None else joint_numbers(text, option, unit, joints)
         if values is not None and min(values) < 0.0:
@@ -207,7 +207,7 @@ def _limits(options, simulator) -> Limits:
     return Limits(ranges, greatest("max_velocity", f"{rad}/s"), greatest("max_acceleration", f"{rad}/s^2"), rad)
 
 
-def _check_last_line(path) -> None:
+def _check_last_line(path: str) -> None:
     """Warn of a file that may have been cut off inside its last number."""
     try:
         with open(path, "rb") as file:
@@ -219,52 +219,37 @@ def _check_last_line(path) -> None:
         print(f"warning: {path}: the last line does not end; its last number may be cut off", file=sys.stderr)
 
 
-def _run(simulator: Simulator, log: Recording, acceleration: bool, progress) -> Recording:
+def _run(simulator: Simulator, log: Recording, acceleration: bool, progress: Progress) -> Recording:
     """Run all rows, some at a time; the same bits as in one call."""
     import numpy as np
 
     from puma_sim_core.jit import BACKEND
     from puma_sim_core.recording.recording import Recording
-    from puma_sim_core.simulation.simulator import step_counts
+    from puma_sim_core.simulation.run_inputs import step_counts
 
     counts = step_counts(np.diff(log.time), simulator.max_step)
     block = np.cumsum(counts) // _STEPS_AT_ONCE[BACKEND]
     ends = [*(np.flatnonzero(np.diff(block)) + 1).tolist(), len(log) - 1]
-    parts, first = [], 0
+    volts: Any = log.voltage
+    names = ["position", "velocity", "current"] + ["acceleration"] * acceleration
+    parts: dict[str, list[np.ndarray]] = {name: [] for name in names}
+    first = 0
     for last in ends:
         rows = slice(first, last + 1)
         try:
-            run = simulator.run(log.time[rows], log.voltage[rows], acceleration=acceleration)
+            run = simulator.run(log.time[rows], volts[rows], acceleration=acceleration)
         except NonFiniteStateError as error:
             raise NonFiniteStateError(first + error.step) from None
-        # the last row of a part is the first of the next
-        parts.append(
-            [
-                values[: None if last == ends[-1] else -1]
-                for values in (run.position, run.velocity, run.current, run.acceleration)
-                if values is not None
-            ]
-        )
-        progress("simulating", last + 1, len(log))
+        for name, values in parts.items():
+            # the last row of a part is the first of the next
+            values.append(getattr(run, name)[: None if last == ends[-1] else -1])
+        progress("simulating", (last + 1) / len(log))
         first = last
-    names = ("position", "velocity", "current", "acceleration")
-    joined = {name: np.concatenate(values) for name, values in zip(names, zip(*parts))}
-    return Recording(time=log.time, voltage=log.voltage, **joined)
+    joined = {name: np.concatenate(values) for name, values in parts.items()}
+    return Recording(time=log.time, voltage=volts, **joined)
 
 
-def _run_windows(simulator, log, interval, limits, progress):
-    from puma_sim_core.simulation.windows import run_windows
-
-    return run_windows(
-        simulator,
-        log,
-        interval,
-        acceleration=limits.acceleration is not None,
-        report=lambda rows: progress("simulating", rows, len(log)),
-    )
-
-
-def _summary(options, unit: str, errors: OpenLoopErrors | None):
+def _summary(options: argparse.Namespace, unit: str, errors: OpenLoopErrors | None) -> Iterator[str]:
     """Lines on the open-loop errors, joint by joint."""
     if errors is None:
         return
@@ -272,3 +257,6 @@ def _summary(options, unit: str, errors: OpenLoopErrors | None):
     yield f"open-loop error of {errors.windows} {windows} of {float(options.restart):g} s [{unit}]:"
     for j in range(len(errors.rms)):
         yield (f"  joint {j + 1}: rms {errors.rms[j]:.3e}, worst {errors.worst[j]:.3e} at {errors.worst_time[j]:.6g} s")
+
+
+COMMAND = Command("simulate", "run a file of voltages through the arm", __doc__, add_arguments, run)

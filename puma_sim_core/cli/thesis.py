@@ -19,16 +19,13 @@ import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from puma_sim_core.cli.arguments import whole_number
-from puma_sim_core.cli.output import Progress, bar, check_output, output_file
+from puma_sim_core.cli.arguments import Command, whole_number
+from puma_sim_core.cli.output import Progress, check_output, output_file
 from puma_sim_core.errors import ParameterError, RecordingError
 
 if TYPE_CHECKING:
     from puma_sim_core.thesis.registry import Experiment
     from puma_sim_core.thesis.result import Result, Row
-
-NAME = "thesis"
-SUMMARY = "list or run the experiments of the thesis, with a page of the results"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -75,18 +72,14 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _write(options: argparse.Namespace, chosen: list[Experiment], seed: int, jobs: int) -> int:
-    from puma_sim_core.thesis.drawing import require_matplotlib
-    from puma_sim_core.thesis.json_file import json_text
-    from puma_sim_core.thesis.report import page
+    from puma_sim_core.thesis.report import json_text, page
 
-    require_matplotlib()
     folder = Path(options.out)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as reason:
-        raise RecordingError(
-            f"cannot be made ({reason.strerror})", where=str(folder), expected="a folder for the page and the numbers"
-        ) from None
+        what, expected = f"cannot be made ({reason.strerror})", "a folder for the page and the numbers"
+        raise RecordingError(what, where=str(folder), expected=expected) from None
     stem = "thesis" if options.all else "-".join(["thesis", *options.number])
     paths = [folder / f"{stem}.html", folder / f"{stem}.json"]
     for path in paths:
@@ -95,7 +88,7 @@ def _write(options: argparse.Namespace, chosen: list[Experiment], seed: int, job
     if not options.all:
         _print(results)
     with Progress() as shown:
-        texts = (page(results, seed, lambda share: shown(bar("drawing", share), share, 1)), json_text(results, seed))
+        texts = (page(results, seed, lambda share: shown("drawing", share)), json_text(results, seed))
     for path, text in zip(paths, texts):
         with output_file(str(path)) as file:
             file.write(text)
@@ -103,11 +96,11 @@ def _write(options: argparse.Namespace, chosen: list[Experiment], seed: int, job
     return 0
 
 
-def _results(chosen: list[Experiment], seed: int, jobs: int) -> dict:
-    from puma_sim_core.thesis.runner import run as run_experiments
+def _results(chosen: list[Experiment], seed: int, jobs: int) -> dict[str, tuple[Experiment, Result]]:
+    from puma_sim_core.thesis.registry import run as run_experiments
 
     with Progress() as shown:
-        return run_experiments(chosen, seed, jobs, lambda what, share: shown(bar(what, share), share, 1))
+        return run_experiments(chosen, seed, jobs, shown)
 
 
 def _list(found: list[Experiment]) -> None:
@@ -129,7 +122,7 @@ def _print(results: dict[str, tuple[Experiment, Result]]) -> None:
 
 
 def _table(rows: tuple[Row, ...], wide: int, heads: tuple[str, str]) -> str:
-    from puma_sim_core.thesis.report import number_text
+    from puma_sim_core.pages.text import number_text
 
     column = max(12, min(22, (wide - 36) // 2))
     first = wide - 2 * (column + 2)
@@ -163,3 +156,8 @@ def _cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+COMMAND = Command(
+    "thesis", "list or run the experiments of the thesis, with a page of the results", __doc__, add_arguments, run
+)

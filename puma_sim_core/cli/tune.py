@@ -14,11 +14,8 @@ from __future__ import annotations
 
 import argparse
 
-from puma_sim_core.cli.arguments import add_plant_arguments, number, plant_of, three_numbers
+from puma_sim_core.cli.arguments import Command, add_plant_arguments, joint_numbers, number, plant_of, whole_number
 from puma_sim_core.errors import ParameterError
-
-NAME = "tune"
-SUMMARY = "ultimate gain, period and PID settings of a joint at a pose"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,8 +31,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Tune and print; raises ParameterError, LimitError, TuningError or ModelError."""
-    joint, delay = _whole(options.joint, "--joint"), _whole(options.delay, "--delay")
-    pose = three_numbers(options.pose, "--pose", "deg")
+    joint, delay = whole_number(options.joint, "--joint"), whole_number(options.delay, "--delay")
+    pose = joint_numbers(options.pose, "--pose", "deg", 3)
     limit = number(options.limit, "--limit")
     period = None if options.period is None else number(options.period, "--period")
 
@@ -62,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
         found["simulation"] = ultimate_by_simulation(loop, limit=limit)
     print(
         f"joint {joint} of {plant.arm.name} at ({', '.join(f'{q:g}' for q in pose)}) deg, the "
-        f"others locked; sampled each {loop.period * 1e3:.6g} ms, {delay} samples of delay\n"
+        f"others locked; sampled every {loop.period * 1e3:.6g} ms, {delay} samples of delay\n"
     )
     print(f"{'':13}{'Kmax [V/rad]':>14}{'Tp [s]':>12}")
     for name, ultimate in found.items():
@@ -87,9 +84,4 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _whole(text: str, option: str) -> int:
-    """The whole number that an option was given; raises ParameterError."""
-    try:
-        return int(text)
-    except ValueError:
-        raise ParameterError(f"'{text}'", where=option, expected="a whole number") from None
+COMMAND = Command("tune", "ultimate gain, period and PID settings of a joint at a pose", __doc__, add_arguments, run)

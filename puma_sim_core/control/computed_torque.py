@@ -24,21 +24,25 @@ The inductance is neglected: L/R is 3 ms, a delay of the torque.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from math import cos, exp, inf, isfinite, sin
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from math import cos, exp, inf, sin
+from typing import Any
 
 from puma_sim_core.arm.arm import ArmParameters
-from puma_sim_core.control.reference import SetpointReference
+from puma_sim_core.checks import check_choice, check_keys, check_positive, check_three_each, check_three_positive
+from puma_sim_core.control.reference import Bounds, SetpointReference
 from puma_sim_core.dynamics.rigid import rigid_body
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.jit import interpreted
 from puma_sim_core.plant.plant import Plant
 
-_rigid_body = interpreted(rigid_body)
+_rigid_body: Callable[..., Any] = interpreted(rigid_body)
 #: share of the speed at which the back-EMF takes all of the voltage limit
 _REACHABLE = 0.9
 BACK_EMF = ("measured", "reference")
-_KEYS = ("bandwidth", "velocity_filter", "greatest_velocity", "greatest_acceleration", "lead", "back_emf")
+_WHERE = "computed torque"
+Triple = tuple[float, float, float]
 
 
 class InverseDynamics:
@@ -55,7 +59,7 @@ class InverseDynamics:
         self._per_torque = tuple(m.resistance / kT for m, kT in zip(plain.arm.motors, plain.torque_per_ampere))
         self.back_emf = tuple(m.back_emf * m.gear_ratio for m in plain.arm.motors)
 
-    def terms(self, q, velocity):
+    def terms(self, q: Sequence[float], velocity: Sequence[float]) -> tuple[tuple[Triple, Triple, Triple], Triple]:
         """(M, bias): rows of D + Ia [kg.m^2], and C(q, v) + G(q) [N.m].
 
         q (3,) [rad], velocity (3,) [rad/s].
@@ -66,7 +70,9 @@ class InverseDynamics:
         )
         return ((m11, m12, m13), (m12, m22, m23), (m13, m23, m33)), (-b1, -b2, -b3)
 
-    def combined(self, mass, bias, acceleration, turning) -> tuple[float, float, float]:
+    def combined(
+        self, mass: Sequence[Triple], bias: Sequence[float], acceleration: Sequence[float], turning: Sequence[float]
+    ) -> tuple[float, ...]:
         """Volts from `terms`, accelerations (3,) [rad/s^2], and the velocities (3,) [rad/s] of
         which the back-EMF is taken."""
         a1, a2, a3 = acceleration
@@ -75,118 +81,95 @@ class InverseDynamics:
             for k, row, b, e, w in zip(self._per_torque, mass, bias, self.back_emf, turning)
         )
 
-    def voltages(self, q, velocity, acceleration) -> tuple[float, float, float]:
+    def voltages(
+        self, q: Sequence[float], velocity: Sequence[float], acceleration: Sequence[float]
+    ) -> tuple[float, ...]:
         """Volts that a motion needs: q [rad], velocity [rad/s], acceleration [rad/s^2], (3,)."""
         return self.combined(*self.terms(q, velocity), acceleration, velocity)
 
-    def own_damping(self, mass) -> tuple[float, float, float]:
+    def own_damping(self, mass: Sequence[Triple]) -> tuple[float, ...]:
         """Damping [1/s] that the back-EMF gives each joint alone; mass : rows of D + Ia."""
         return tuple(e / (k * mass[j][j]) for j, (e, k) in enumerate(zip(self.back_emf, self._per_torque)))
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Settings of computed torque, those of config/controllers.yaml.
+
+    bandwidth : (3,) [rad/s], where the three poles of each joint are; velocity_filter : [rad/s], inf for none;
+    greatest_velocity, greatest_acceleration, lead : of the reference, see `reference.Bounds`, the velocities at most
+    0.9 of what the limit lets the motors reach; back_emf : "measured" or "reference".
+
+    Raises ParameterError: names what cannot be.
+    """
+
+    bandwidth: Sequence[float]
+    velocity_filter: float
+    greatest_velocity: Sequence[float]
+    greatest_acceleration: Sequence[float]
+    lead: float = 1.0
+    back_emf: str = "measured"
+
+    def __post_init__(self) -> None:
+        check_positive(self.velocity_filter, "velocity_filter", "rad/s", _WHERE, infinite=True)
+        check_three_positive(self.bandwidth, "bandwidth", _WHERE)
+        check_choice(self.back_emf, "back_emf", BACK_EMF, _WHERE)
+        Bounds(self.greatest_velocity, self.greatest_acceleration, self.lead)
+
+    @classmethod
+    def from_mapping(cls, mapping: Mapping[str, Any]) -> Settings:
+        """From a mapping with all six; raises ParameterError on others."""
+        check_keys(mapping, [field.name for field in fields(cls)], _WHERE)
+        try:
+            return cls(**mapping)
+        except TypeError as error:
+            raise ParameterError(str(error), where=_WHERE, expected="numbers") from None
 
 
 class ComputedTorque:
     """Computed-torque control of the three joints; see the module.
 
-    Parameters
-    ----------
     model : the arm as the controller knows it (see `InverseDynamics`).
-    period : h [s], the stated rate of `update`.
-    bandwidth : (3,) [rad/s], where the three poles of each joint are.
-    velocity_filter : [rad/s], inf for none.
-    greatest_velocity (3,) [rad/s], greatest_acceleration (3,) [rad/s^2], lead : of the
-        reference, see `reference`; the velocities at most 0.9 of what the limit lets the motors
-        reach.
-    back_emf : "measured" or "reference".
-    setpoint_period : time between setpoints [s], a whole number of periods.
-    limit : greatest magnitude of a motor voltage [V].
-    amplifier_gain : motor volts per volt that `update` gives.
+    period : h [s], the stated rate of `update`; setpoint_period : between setpoints [s], a whole number of periods.
+    limit : greatest magnitude of a motor voltage [V]; amplifier_gain : motor volts per volt that `update` gives.
 
-    Raises
-    ------
-    ParameterError : names what cannot be.
+    Raises ParameterError: names what cannot be.
     """
 
     def __init__(
         self,
         model: ArmParameters | Plant,
+        settings: Settings,
         period: float,
         *,
-        bandwidth: Sequence[float],
-        velocity_filter: float,
-        greatest_velocity: Sequence[float],
-        greatest_acceleration: Sequence[float],
-        lead: float = 1.0,
-        back_emf: str = "measured",
         setpoint_period: float = 0.028,
         limit: float = inf,
         amplifier_gain: float = 1.0,
     ):
-        where = "computed torque"
-        for name, value in (
-            ("period", period),
-            ("limit", limit),
-            ("amplifier_gain", amplifier_gain),
-            ("velocity_filter", velocity_filter),
-        ):
-            if (
-                isinstance(value, (bool, str))
-                or not value > 0.0
-                or (value == inf and name in ("period", "amplifier_gain"))
-            ):
-                raise ParameterError(f"{name} = {value!r}", where=where, expected="a positive number")
-        bandwidth = tuple(bandwidth)
-        if len(bandwidth) != 3 or not all(isfinite(b) and b > 0.0 for b in bandwidth):
-            raise ParameterError(f"bandwidth = {list(bandwidth)!r}", where=where, expected="three positive numbers")
-        if back_emf not in BACK_EMF:
-            raise ParameterError(f"back_emf '{back_emf}'", where=where, expected=" or ".join(BACK_EMF))
-        samples = round(setpoint_period / period)
-        if samples < 1 or abs(samples * period - setpoint_period) > 1e-9 * setpoint_period:
-            raise ParameterError(
-                f"period = {period!r} s", where=where, expected=f"a whole part of {setpoint_period!r} s"
-            )
-        self.period = float(period)
-        self.limit = float(limit)
+        self.period = check_positive(period, "period", "s", _WHERE)
+        self.limit = check_positive(limit, "limit", "V", _WHERE, infinite=True)
+        self._amplifier = check_positive(amplifier_gain, "amplifier_gain", "", _WHERE)
         self.dynamics = InverseDynamics(model)
         # faster than a motor can turn the reference would run away from the arm
         reachable = [_REACHABLE * limit / e for e in self.dynamics.back_emf]
-        velocity = (
-            [min(v, w) for v, w in zip(greatest_velocity, reachable)]
-            if len(greatest_velocity) == 3
-            else greatest_velocity
-        )
-        self.reference = SetpointReference(samples, setpoint_period, velocity, greatest_acceleration, lead)
-        self._bandwidth = tuple(float(b) for b in bandwidth)
-        self._measured = back_emf == "measured"
-        self._filter = 1.0 - exp(-self.period * velocity_filter)
-        self._amplifier = float(amplifier_gain)
+        velocity = [min(v, w) for v, w in zip(settings.greatest_velocity, reachable)]
+        bounds = Bounds(velocity, settings.greatest_acceleration, settings.lead)
+        self.reference = SetpointReference(self.period, setpoint_period, bounds, _WHERE)
+        self._bandwidth = tuple(map(float, settings.bandwidth))
+        self._measured = settings.back_emf == "measured"
+        self._filter = 1.0 - exp(-self.period * settings.velocity_filter)
         self.reset()
-
-    @classmethod
-    def from_settings(cls, model: ArmParameters | Plant, settings: Mapping, period: float, **others) -> ComputedTorque:
-        """From a mapping with the six settings; raises ParameterError on others."""
-        if not isinstance(settings, Mapping) or set(settings) != set(_KEYS):
-            found = ", ".join(map(str, settings)) if isinstance(settings, Mapping) else settings
-            raise ParameterError(f"keys {found}", where="computed torque", expected=", ".join(_KEYS))
-        try:
-            return cls(model, period, **settings, **others)
-        except TypeError as error:
-            raise ParameterError(str(error), where="computed torque", expected="numbers") from None
 
     def reset(self) -> None:
         """Forget the past: no sum, at rest at the next sample."""
         self.reference.reset()
         self._sum = [0.0, 0.0, 0.0]
         self._before: tuple[float, ...] | None = None
-        self._velocity = (0.0, 0.0, 0.0)
+        self._velocity: tuple[float, ...] = (0.0, 0.0, 0.0)
 
-    def update(self, t: float, setpoint: Sequence[float], measurement: Sequence[float]) -> tuple[float, float, float]:
+    def update(self, t: float, setpoint: Sequence[float], measurement: Sequence[float]) -> tuple[float, ...]:
         """Volts for one sample at time t [s]; setpoint and measurement (3,) [rad]."""
-        if len(setpoint) != 3 or len(measurement) != 3:
-            raise ParameterError(
-                f"{len(setpoint)} setpoints and {len(measurement)} measurements",
-                where="computed torque",
-                expected="3 of each",
-            )
+        check_three_each(setpoint, measurement, _WHERE)
         q = tuple(float(y) for y in measurement)
         h, c = self.period, self._filter
         before = q if self._before is None else self._before
@@ -195,10 +178,10 @@ class ComputedTorque:
         wanted = self.reference.update(setpoint, q)
         mass, bias = self.dynamics.terms(q, v)
         damped = (0.0, 0.0, 0.0) if self._measured else self.dynamics.own_damping(mass)
-        acceleration, sums = [], []
+        acceleration: list[float] = []
+        sums = [total + h * (r - y) for total, (r, _, _), y in zip(self._sum, wanted, q)]
         for j, (r, rd, rdd) in enumerate(wanted):
             b, e = self._bandwidth[j], r - q[j]
-            sums.append(self._sum[j] + h * e)
             acceleration.append(rdd + max(3.0 * b - damped[j], 0.0) * (rd - v[j]) + b * b * (3.0 * e + b * sums[j]))
         turning = v if self._measured else tuple(rd for _, rd, _ in wanted)
         volts = self.dynamics.combined(mass, bias, acceleration, turning)

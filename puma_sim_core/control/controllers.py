@@ -10,40 +10,36 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from copy import deepcopy
-from math import inf
+from typing import Any
 
 from puma_sim_core.arm.arm import ArmParameters
-from puma_sim_core.control.computed_torque import ComputedTorque
-from puma_sim_core.control.scheduled import GainSchedule, ScheduledPid
-from puma_sim_core.dynamics.pid import Pid, PidGains
+from puma_sim_core.checks import check_choice, check_positive
+from puma_sim_core.control.computed_torque import ComputedTorque, Settings
+from puma_sim_core.control.scheduled import GAIN_NAMES, GainSchedule, ScheduledPid
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.files import read_yaml
 from puma_sim_core.plant.plant import Plant
 from puma_sim_core.resources import config_path
+from puma_sim_core.servo.pid import Pid, PidGains
 
 KINDS = ("pid", "scheduled", "computed_torque")
-#: "servo": thirty samples in 28 ms, no delay; "external": one each 28 ms, a sample late
+#: "servo": thirty samples in 28 ms, no delay; "external": one every 28 ms, a sample late
 GROUPS = ("servo", "external")
-_PID_KEYS = ("gain", "integral_time", "derivative_time")
 
 
-def load_settings(kind: str, group: str = "servo", path: str | os.PathLike | None = None) -> dict:
+def load_settings(kind: str, group: str = "servo", path: str | os.PathLike[str] | None = None) -> dict[str, Any]:
     """Settings of a kind of controller; path : a file of the form of config/controllers.yaml.
 
-    Raises
-    ------
-    ParameterError : an unknown kind or group, a file that cannot be read or lacks it.
+    Raises ParameterError: an unknown kind or group, a file that cannot be read or lacks it.
     """
-    _check_kind(kind)
-    if group not in GROUPS:
-        raise ParameterError(f"group '{group}'", where="controllers", expected=" or ".join(GROUPS))
+    check_choice(kind, "controller", KINDS)
+    check_choice(group, "group", GROUPS, "controllers")
     path = config_path("controllers.yaml") if path is None else path
     found = read_yaml(path)
     for key in (group, kind):
         if not isinstance(found, Mapping) or not isinstance(found.get(key), Mapping):
-            raise ParameterError(
-                f"no settings {group}: {kind}:", where=str(path), expected="the form of config/controllers.yaml"
-            )
+            what, expected = f"no settings {group}: {kind}:", "the form of config/controllers.yaml"
+            raise ParameterError(what, where=str(path), expected=expected)
         found = found[key]
     return deepcopy(dict(found))
 
@@ -51,68 +47,43 @@ def load_settings(kind: str, group: str = "servo", path: str | os.PathLike | Non
 def make_controller(
     kind: str,
     model: ArmParameters | Plant,
-    settings: Mapping | None = None,
+    settings: Mapping[str, Any] | None = None,
     period: float = 0.028 / 30.0,
     voltage_limit: float = 40.0,
     *,
     setpoint_period: float = 0.028,
     amplifier_gain: float = 1.0,
-):
+) -> Pid | ScheduledPid | ComputedTorque:
     """A controller of the three joints.
 
-    Parameters
-    ----------
     kind : "pid", "scheduled" or "computed_torque".
     model : the arm as computed torque knows it; the others need none.
     settings : as `load_settings` gives them (of the group "servo" where None).
     period : h [s], the stated rate; setpoint_period : time between setpoints [s].
     voltage_limit : at the motor [V]; amplifier_gain : motor volts per volt of the controller.
 
-    Raises
-    ------
-    ParameterError : names the setting that cannot be.
+    Raises ParameterError: names the setting that cannot be.
     """
-    _check_kind(kind)
-    if not voltage_limit > 0.0 or not 0.0 < amplifier_gain < inf:
-        raise ParameterError(
-            f"voltage_limit {voltage_limit!r} V, amplifier_gain {amplifier_gain!r}",
-            where="controller",
-            expected="positive numbers",
-        )
+    check_choice(kind, "controller", KINDS)
+    where = f"controller '{kind}'"
+    limit = check_positive(voltage_limit, "voltage_limit", "V", where, infinite=True)
+    limit /= check_positive(amplifier_gain, "amplifier_gain", "", where)
     settings = load_settings(kind) if settings is None else settings
     if not isinstance(settings, Mapping):
-        raise ParameterError(f"settings {settings!r}", where=f"controller '{kind}'", expected="a mapping")
+        raise ParameterError(f"settings {settings!r}", where=where, expected="a mapping")
     if kind == "computed_torque":
-        return ComputedTorque.from_settings(
-            model, settings, period, limit=voltage_limit, setpoint_period=setpoint_period, amplifier_gain=amplifier_gain
-        )
+        rates = {"setpoint_period": setpoint_period, "limit": voltage_limit, "amplifier_gain": amplifier_gain}
+        return ComputedTorque(model, Settings.from_mapping(settings), period, **rates)
     settings = dict(settings)
     on_measurement = settings.pop("derivative_on_measurement", None)
     if not isinstance(on_measurement, bool):
-        raise ParameterError(
-            f"derivative_on_measurement = {on_measurement!r}", where=f"controller '{kind}'", expected="true or false"
-        )
-    limit = voltage_limit / amplifier_gain
+        raise ParameterError(f"derivative_on_measurement = {on_measurement!r}", where=where, expected="true or false")
     if kind == "scheduled":
         return ScheduledPid(GainSchedule.from_mapping(settings), period, limit=limit, on_measurement=on_measurement)
-    return Pid(_pid_gains(settings), period, limit=limit, on_measurement=on_measurement)
-
-
-def _check_kind(kind) -> None:
-    if kind not in KINDS:
-        raise ParameterError(f"controller '{kind}'", expected=" or ".join(KINDS))
-
-
-def _pid_gains(settings) -> list[PidGains]:
-    if set(settings) != set(_PID_KEYS):
-        raise ParameterError(
-            f"keys {', '.join(map(str, settings))}",
-            where="controller 'pid'",
-            expected=f"{', '.join(_PID_KEYS)}, derivative_on_measurement",
-        )
-    columns = [settings[name] for name in _PID_KEYS]
+    if set(settings) != set(GAIN_NAMES):
+        expected = f"{', '.join(GAIN_NAMES)}, derivative_on_measurement"
+        raise ParameterError(f"keys {', '.join(map(str, settings))}", where=where, expected=expected)
+    columns = [settings[name] for name in GAIN_NAMES]
     if not all(isinstance(column, (list, tuple)) and len(column) == 3 for column in columns):
-        raise ParameterError(
-            f"gains {columns!r}", where="controller 'pid'", expected="three numbers of each, one for each joint"
-        )
-    return [PidGains(*values) for values in zip(*columns)]
+        raise ParameterError(f"gains {columns!r}", where=where, expected="three numbers of each, one for each joint")
+    return Pid([PidGains(*values) for values in zip(*columns)], period, limit=limit, on_measurement=on_measurement)

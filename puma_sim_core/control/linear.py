@@ -2,10 +2,9 @@
 # Copyright the puma-sim contributors
 """The arm linearised about a pose at rest, exactly sampled, and the loop that PID closes around it.
 
-Some joints are free and the others truly locked (their rows and columns removed). About a pose the
-free ones obey ``M qdd = kT i - H qd - (dG/dq) q`` and ``L di/dt = v - R i - ke N qd``, the
-third-order model of chapter 5 without what vanishes at rest. Of the effects, viscous friction and
-loads are in it. All functions take many poses at once.
+Some joints are free and the others truly locked (their rows and columns removed). About a pose the free ones obey
+``M qdd = kT i - H qd - (dG/dq) q`` and ``L di/dt = v - R i - ke N qd``, the third-order model of chapter 5 without what
+vanishes at rest. Of the effects, viscous friction and loads are in it. All functions take many poses at once.
 """
 
 from __future__ import annotations
@@ -14,11 +13,12 @@ from collections.abc import Sequence
 from math import inf
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.linalg import expm
 
 from puma_sim_core.arm.rigid_body import gravity_torque, inertia
-from puma_sim_core.dynamics.pid import PidGains
 from puma_sim_core.plant.plant import Plant
+from puma_sim_core.servo.pid import PidGains
 
 
 def is_linear(plant: Plant) -> bool:
@@ -27,7 +27,7 @@ def is_linear(plant: Plant) -> bool:
     return plant.constants.active == 0
 
 
-def stiffness(plant: Plant, pose) -> np.ndarray:
+def stiffness(plant: Plant, pose: ArrayLike) -> np.ndarray:
     """dG/dq at poses (..., 3) [rad]: (..., 3, 3) [N.m/rad], by the complex step."""
     pose = np.asarray(pose, dtype=float)
     out = np.empty(pose.shape + (3,))
@@ -38,7 +38,7 @@ def stiffness(plant: Plant, pose) -> np.ndarray:
     return out
 
 
-def linearised(plant: Plant, pose, joints: Sequence[int] = (1, 2, 3)):
+def linearised(plant: Plant, pose: ArrayLike, joints: Sequence[int] = (1, 2, 3)) -> tuple[np.ndarray, np.ndarray]:
     """(A, B) of dx/dt = A x + B v about poses (..., 3) [rad] at rest.
 
     joints : the n free ones, 1-based. x = (q, qd, i) of the free joints, as deviations; A is
@@ -62,12 +62,11 @@ def linearised(plant: Plant, pose, joints: Sequence[int] = (1, 2, 3)):
     return a, b
 
 
-def sampled(a, b, period: float):
+def sampled(a: np.ndarray, b: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
     """(F, G) of x(k+1) = F x(k) + G v, exact for a voltage held over a sample of `period` [s].
 
     a : (..., N, N); b : (N, n). The matrix exponential of both together.
     """
-    a = np.asarray(a, dtype=float)
     size, n = b.shape
     joined = np.zeros(a.shape[:-2] + (size + n, size + n))
     joined[..., :size, :size] = a
@@ -76,7 +75,7 @@ def sampled(a, b, period: float):
     return joined[..., :size, :size], joined[..., :size, size:]
 
 
-def proportional_loop(f, g, gain, delay: int = 0) -> np.ndarray:
+def proportional_loop(f: np.ndarray, g: np.ndarray, gain: ArrayLike, delay: int = 0) -> np.ndarray:
     """The map of one joint's loop under proportional control, (..., 3 + delay, 3 + delay).
 
     f : (..., 3, 3); g : (..., 3, 1); gain : (...) [V/rad], they broadcast. The voltages on their
@@ -96,12 +95,11 @@ def proportional_loop(f, g, gain, delay: int = 0) -> np.ndarray:
     return loop
 
 
-def pid_loop(f, g, gains: Sequence[PidGains], period: float, delay: int = 0) -> np.ndarray:
+def pid_loop(f: np.ndarray, g: np.ndarray, gains: Sequence[PidGains], period: float, delay: int = 0) -> np.ndarray:
     """The map of the loops of n joints under the digital servo's PID law.
 
-    f : (..., 3n, 3n); g : (..., 3n, n), of `sampled`; gains : one a joint. States: x, the sums of
-    those with integral action, the last positions of those with derivative action, and the
-    voltages on their way. Square, of that size.
+    f : (..., 3n, 3n); g : (..., 3n, n), of `sampled`; gains : one a joint. States: x, the sums of those with integral
+    action, the last positions of those with derivative action, and the voltages on their way. Square, of that size.
     """
     n = len(gains)
     summed = [j for j in range(n) if gains[j].integral_time < inf]
@@ -136,17 +134,16 @@ def pid_loop(f, g, gains: Sequence[PidGains], period: float, delay: int = 0) -> 
     return loop
 
 
-def radius(loop) -> np.ndarray:
+def radius(loop: np.ndarray) -> np.ndarray:
     """Greatest magnitude of a map's eigenvalues, (...): the loop is stable where it is below 1."""
     return np.abs(np.linalg.eigvals(loop)).max(axis=-1)
 
 
-def least_damped(loop, period: float) -> tuple[np.ndarray, np.ndarray]:
+def least_damped(loop: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
     """Damping ratio [-] and period [s] of the oscillation that dies out last in relative terms.
 
     Of the eigenvalues z of a map (..., N, N) that oscillate, s = log(z) / period, the one with
-    the least -Re s / |s|. NaN where nothing oscillates; negative damping is an oscillation that
-    grows. Shapes (...).
+    the least -Re s / |s|. NaN where nothing oscillates; negative damping is an oscillation that grows. Shapes (...).
     """
     z = np.linalg.eigvals(loop)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -4,11 +4,13 @@
 
 from __future__ import annotations
 
-from math import inf, isfinite
+from math import inf
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from puma_sim_core.checks import check_numbers, check_positive, check_shapes
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.recording.recording import Recording
 
@@ -28,7 +30,7 @@ class StepQuality(NamedTuple):
 
 
 def step_quality(
-    time, response, start: float, end: float, *, at: float | None = None, band: float = 0.02
+    time: ArrayLike, response: ArrayLike, start: float, end: float, *, at: float | None = None, band: float = 0.02
 ) -> StepQuality:
     """Quality of a response to a step from `start` to `end`.
 
@@ -36,32 +38,24 @@ def step_quality(
     [s], by default at time[0]; band : half-width of the settled band as a share of the step.
     Crossings are taken between samples by a straight line.
 
-    Raises
-    ------
-    ParameterError : no step, no samples behind it, or values that are not finite.
+    Raises ParameterError: no step, no samples behind it, or values that are not finite.
     """
-    time, response = np.asarray(time, dtype=float), np.asarray(response, dtype=float)
     where = "step response"
-    if time.ndim != 1 or time.shape != response.shape or len(time) < 2 or not (np.diff(time) > 0.0).all():
-        raise ParameterError(
-            f"time of shape {time.shape}, response of shape {response.shape}",
-            where=where,
-            expected="two equal, (n,), with increasing times",
-        )
-    if not (np.isfinite(time).all() and np.isfinite(response).all() and isfinite(start) and isfinite(end)):
-        raise ParameterError("values that are not finite", where=where, expected="finite numbers")
+    times, values = check_shapes("(n,)", where, time=time, response=response)
+    if len(times) < 2 or not (np.diff(times) > 0.0).all():
+        raise ParameterError(f"{len(times)} times", where=where, expected="two at least, increasing")
+    check_numbers((start, end), "start and end", 2, where)
     # a step of rounding is none
     if abs(end - start) <= 1e-12 * max(abs(start), abs(end), 1e-300):
-        raise ParameterError(
-            f"from {start:.6g} to {end:.6g}: there is no step", where=where, expected="a start and an end that differ"
-        )
+        what = f"from {start:.6g} to {end:.6g}: there is no step"
+        raise ParameterError(what, where=where, expected="a start and an end that differ")
     if not 0.0 < band < 1.0:
         raise ParameterError(f"band {band!r}", where=where, expected="between 0 and 1")
-    at = float(time[0]) if at is None else at
-    after = time >= at - 1e-9
+    at = float(times[0]) if at is None else at
+    after = times >= at - 1e-9
     if after.sum() < 2:
         raise ParameterError(f"no samples after {at:.6g} s", where=where, expected="a step within the record")
-    t, y = time[after], (response[after] - start) / (end - start)
+    t, y = times[after], (values[after] - start) / (end - start)
     low, high = _first_above(t, y, 0.1), _first_above(t, y, 0.9)
     outside = np.flatnonzero(np.abs(y - 1.0) > band)
     if not outside.size:
@@ -75,7 +69,7 @@ def step_quality(
     return StepQuality(max(float(y.max()) - 1.0, 0.0), high - low if high < inf else inf, settled)
 
 
-def _first_above(t, y, level: float) -> float:
+def _first_above(t: np.ndarray, y: np.ndarray, level: float) -> float:
     reached = np.flatnonzero(y >= level)
     if not reached.size:
         return inf
@@ -85,31 +79,6 @@ def _first_above(t, y, level: float) -> float:
     return float(t[k - 1] + (level - y[k - 1]) / (y[k] - y[k - 1]) * (t[k] - t[k - 1]))
 
 
-def setpoint_step(recording: Recording, joint: int) -> tuple[float, float, float]:
-    """(time [s], from, to [rad]) of the one step in the setpoint of a joint, 1 to 3.
-
-    Raises
-    ------
-    ParameterError : no setpoints, no step, or more than one change.
-    """
-    if recording.setpoint is None:
-        raise ParameterError("a recording without setpoints", where="step response", expected="setpoint1..3")
-    values = recording.setpoint[:, joint - 1]
-    changes = np.flatnonzero(np.diff(values))
-    if changes.size != 1:
-        raise ParameterError(
-            f"the setpoint of joint {joint} changes {changes.size} times", where="step response", expected="one step"
-        )
-    k = int(changes[0])
-    return float(recording.time[k + 1]), float(values[k]), float(values[k + 1])
-
-
-def joint_step_quality(recording: Recording, joint: int, band: float = 0.02) -> StepQuality:
-    """`step_quality` of a joint, 1 to 3, whose setpoint steps once; raises ParameterError."""
-    at, start, end = setpoint_step(recording, joint)
-    return step_quality(recording.time, recording.position[:, joint - 1], start, end, at=at, band=band)
-
-
 class TrackingError(NamedTuple):
     """rms and worst (greatest magnitude) of position less path, (3,) [rad]."""
 
@@ -117,20 +86,17 @@ class TrackingError(NamedTuple):
     worst: np.ndarray
 
 
-def tracking_error(recording: Recording, path=None) -> TrackingError:
+def tracking_error(recording: Recording, path: ArrayLike | None = None) -> TrackingError:
     """Errors over a recording; path : (n, 3) [rad] at its times, by default the held setpoints.
 
     Samples must be evenly spaced for the rms to be one over time.
 
-    Raises
-    ------
-    ParameterError : no positions, nothing to compare with, or another shape.
+    Raises ParameterError: no positions, nothing to compare with, or another shape.
     """
     path = recording.setpoint if path is None else np.asarray(path, dtype=float)
-    if recording.position is None or path is None or path.shape != recording.position.shape:
-        raise ParameterError(
-            "no path beside the positions", where="tracking error", expected="positions and a path, both (n, 3)"
-        )
+    if path is None or recording.position is None or path.shape != recording.position.shape:
+        expected = "positions and a path, both (n, 3)"
+        raise ParameterError("no path beside the positions", where="tracking error", expected=expected)
     error = recording.position - path
     return TrackingError(np.sqrt((error**2).mean(axis=0)), np.abs(error).max(axis=0))
 
@@ -148,14 +114,11 @@ def effort(recording: Recording, voltage_limit: float, within: float = 1e-6) -> 
     voltage_limit [V], inf for none; within : distance from it that counts as at it, as a share of
     it (a converter of n bits ends 2^(1-n) of it below its limit).
 
-    Raises
-    ------
-    ParameterError : no voltages, a single row, or a limit that is not positive.
+    Raises ParameterError: no voltages, a single row, or a limit that is not positive.
     """
     if recording.voltage is None or len(recording) < 2:
         raise ParameterError("no voltages", where="effort", expected="two rows at least")
-    if not voltage_limit > 0.0:
-        raise ParameterError(f"voltage_limit {voltage_limit!r} V", where="effort", expected="a positive number")
+    check_positive(voltage_limit, "voltage_limit", "V", "effort", infinite=True)
     held = np.diff(recording.time)
     volts = recording.voltage[:-1]
     share = held / held.sum()

@@ -2,69 +2,69 @@
 # Copyright the puma-sim contributors
 """Position, velocity and acceleration that a controller can follow, from setpoints as they come.
 
-Setpoints come one each 28 ms and are not known in advance. Three stages make a path of them:
+Setpoints come every 28 ms and are not known in advance. Three stages make a path of them:
 
 1. Bounds. Each setpoint is followed as fast as a greatest velocity and acceleration allow, and
    exactly where it stays within them; a step becomes a fast move that brakes in time.
 2. A quadratic B-spline through three successive points p0, p1, p2 that are T apart, u = 0 to 1
    in each period: ``r = [(1 - u)^2 p0 + (1 + 2u - 2u^2) p1 + u^2 p2] / 2``, whose velocity is
    continuous and whose acceleration is the second difference over T^2. It is 1.5 T late.
-3. Lead. ``r + c r' + (c^2/2 - T^2/8) r''`` and its derivative with c = 1.5 T make up for that: a
-   path of constant acceleration is followed exactly. While the bounds hold the path back there is
-   nothing to be in time for, and a lead would only overshoot where it brakes: c is then taken
-   away, and given back within eight periods.
+3. Lead. ``r + c r' + (c^2/2 - T^2/8) r''`` and its derivative with c = 1.5 T make up for that: a path of constant
+   acceleration is followed exactly. While the bounds hold the path back there is nothing to be in time for, and a lead
+   would only overshoot where it brakes: c is then taken away, and given back within eight periods.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import copysign, isfinite, sqrt
+from dataclasses import dataclass
+from math import copysign, sqrt
 
+from puma_sim_core.checks import check_positive, check_three_positive
 from puma_sim_core.errors import ParameterError
 
 #: delay of the spline in periods of the setpoints
 _LATE = 1.5
 #: periods in which the lead comes back
 _BACK = 8
+_WHERE = "setpoint reference"
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Within which setpoints are followed exactly.
+
+    greatest_velocity (3,) [rad/s] and greatest_acceleration (3,) [rad/s^2], positive; lead : share of the delay that
+    is made up for, 0 to 1. Raises ParameterError on others.
+    """
+
+    greatest_velocity: Sequence[float]
+    greatest_acceleration: Sequence[float]
+    lead: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_three_positive(self.greatest_velocity, "greatest velocity", _WHERE)
+        check_three_positive(self.greatest_acceleration, "greatest acceleration", _WHERE)
+        if not 0.0 <= self.lead <= 1.0:
+            raise ParameterError(f"lead {self.lead!r}", where=_WHERE, expected="0 to 1")
 
 
 class SetpointReference:
     """The reference of three joints, sample by sample.
 
-    Parameters
-    ----------
-    samples : samples in each period of the setpoints; setpoint_period : that period, T [s].
-    velocity (3,) [rad/s], acceleration (3,) [rad/s^2] : the bounds, positive.
-    lead : share of the delay that is made up for, 0 to 1.
-
-    Raises
-    ------
-    ParameterError : a number that is out of its bounds.
+    period : between samples [s]; setpoint_period : T [s], a whole number of periods; where : whose reference it is,
+    in errors. Raises ParameterError on others.
     """
 
-    def __init__(
-        self,
-        samples: int,
-        setpoint_period: float,
-        velocity: Sequence[float],
-        acceleration: Sequence[float],
-        lead: float = 1.0,
-    ):
-        if not (isfinite(setpoint_period) and setpoint_period > 0.0) or samples < 1:
-            raise ParameterError(
-                f"{samples!r} samples in {setpoint_period!r} s", where="setpoint reference", expected="positive numbers"
-            )
-        if not 0.0 <= lead <= 1.0:
-            raise ParameterError(f"lead {lead!r}", where="setpoint reference", expected="0 to 1")
-        for name, values in (("velocity", velocity), ("acceleration", acceleration)):
-            if len(values) != 3 or not all(isfinite(v) and v > 0.0 for v in values):
-                raise ParameterError(
-                    f"greatest {name} {list(values)!r}", where="setpoint reference", expected="three positive numbers"
-                )
-        self._samples = samples
-        self._T = float(setpoint_period)
-        self._joints = [_Bounded(self._T, float(v), float(a)) for v, a in zip(velocity, acceleration)]
-        self._lead = lead * _LATE * self._T
+    def __init__(self, period: float, setpoint_period: float, bounds: Bounds, where: str = _WHERE):
+        self._T = check_positive(setpoint_period, "setpoint_period", "s", where)
+        self._samples = round(setpoint_period / check_positive(period, "period", "s", where))
+        if self._samples < 1 or abs(self._samples * period - setpoint_period) > 1e-9 * setpoint_period:
+            expected = f"a whole part of {setpoint_period!r} s"
+            raise ParameterError(f"period = {period!r} s", where=where, expected=expected)
+        pairs = zip(bounds.greatest_velocity, bounds.greatest_acceleration)
+        self._joints = [_Bounded(self._T, float(v), float(a)) for v, a in pairs]
+        self._lead = bounds.lead * _LATE * self._T
         self._k: int | None = None
 
     def reset(self) -> None:
@@ -86,9 +86,9 @@ class SetpointReference:
                 joint.take(float(r))
         u = self._k / self._samples
         self._k = (self._k + 1) % self._samples
-        return [self._led(joint, u) for joint in self._joints]
+        return [self._with_lead(joint, u) for joint in self._joints]
 
-    def _led(self, joint, u):
+    def _with_lead(self, joint: _Bounded, u: float) -> tuple[float, float, float]:
         p0, p1, p2 = joint.points
         T = self._T
         first, second = p1 - p0, p2 - p1
@@ -108,7 +108,7 @@ class SetpointReference:
 
 
 class _Bounded:
-    """Setpoints of one joint with bounded velocity V and acceleration A, a point each T."""
+    """Setpoints of one joint with bounded velocity V and acceleration A, a point every T."""
 
     def __init__(self, T: float, V: float, A: float):
         self._T, self._V, self._A = T, V, A

@@ -11,19 +11,22 @@ from __future__ import annotations
 
 import itertools
 from bisect import bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import inf, isfinite
+from typing import Any
 
 import numpy as np
 
-from puma_sim_core.dynamics.pid import PidGains, pid_law
+from puma_sim_core.checks import check_keys, check_positive, check_three_each
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.jit import interpreted
+from puma_sim_core.servo.pid import PidGains, pid_law
 
-_law = interpreted(pid_law)
-_NAMES = ("gain", "integral_time", "derivative_time")
-_KEYS = ("q2", "q3", *_NAMES)
+_law: Callable[..., Any] = interpreted(pid_law)
+_WHERE = "gain schedule"
+GAIN_NAMES = ("gain", "integral_time", "derivative_time")
+_KEYS = ("q2", "q3", *GAIN_NAMES)
 
 
 @dataclass(frozen=True)
@@ -37,88 +40,70 @@ class GainSchedule:
         joint, each a number that holds everywhere or a table with a row for each q2 and a column
         for each q3; one row or one column holds for all.
 
-    Raises
-    ------
-    ParameterError : names the entry and what was expected.
+    Raises ParameterError: names the entry and what was expected.
     """
 
     q2: tuple[float, ...]
     q3: tuple[float, ...]
-    gain: tuple
-    integral_time: tuple
-    derivative_time: tuple
+    gain: Sequence[Any]
+    integral_time: Sequence[Any]
+    derivative_time: Sequence[Any]
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name in ("q2", "q3"):
             object.__setattr__(self, name, _angles(getattr(self, name), name))
         shape = (len(self.q2), len(self.q3))
-        for name in _NAMES:
+        for name in GAIN_NAMES:
             entries = getattr(self, name)
             if isinstance(entries, str) or not isinstance(entries, Sequence) or len(entries) != 3:
-                raise ParameterError(
-                    f"{name} = {entries!r}", where="gain schedule", expected="three entries, one for each joint"
-                )
-            object.__setattr__(
-                self, name, tuple(_entry(entry, f"{name} of joint {j}", shape) for j, entry in enumerate(entries, 1))
-            )
+                what = f"{name} = {entries!r}"
+                raise ParameterError(what, where=_WHERE, expected="three entries, one for each joint")
+            entries = tuple(_entry(entry, f"{name} of joint {j}", shape) for j, entry in enumerate(entries, 1))
+            object.__setattr__(self, name, entries)
         for j in range(3):
-            # PidGains refuses what no controller can have
-            for values in zip(*(np.broadcast_to(getattr(self, name)[j], shape).ravel().tolist() for name in _NAMES)):
-                if not PidGains(*values).gain > 0.0:
-                    raise ParameterError(
-                        f"gain of joint {j + 1} = {values[0]!r}", where="gain schedule", expected="positive numbers"
-                    )
+            entries = [np.broadcast_to(getattr(self, name)[j], shape) for name in GAIN_NAMES]
+            for values in np.stack(entries, axis=-1).reshape(-1, 3).tolist():
+                # PidGains refuses what no controller can have
+                check_positive(PidGains(*values).gain, f"gain of joint {j + 1}", "", _WHERE)
 
-    def at(self, q2: float, q3: float) -> tuple[tuple[float, float, float], ...]:
+    def at(self, q2: float, q3: float) -> list[tuple[float, float, float]]:
         """(gain, integral_time, derivative_time) of each joint at a pose [rad]."""
         i, a = _place(self.q2, q2)
         k, b = _place(self.q3, q3)
 
-        def value(entry):
+        def value(entry: Any) -> float:
             if type(entry) is float:
                 return entry
             low, high = entry[i], entry[i + 1]
             left = low[k] + b * (low[k + 1] - low[k])
             return left + a * (high[k] + b * (high[k + 1] - high[k]) - left)
 
-        return tuple(
-            (value(g), value(ti), value(td)) for g, ti, td in zip(self.gain, self.integral_time, self.derivative_time)
-        )
+        entries = zip(self.gain, self.integral_time, self.derivative_time)
+        return [(value(g), value(ti), value(td)) for g, ti, td in entries]
 
-    def to_mapping(self) -> dict:
+    def to_mapping(self) -> dict[str, list[Any]]:
         """Plain values for a file."""
-
-        def plain(entry):
-            return entry if type(entry) is float else [list(row) for row in entry]
-
-        return {
-            "q2": list(self.q2),
-            "q3": list(self.q3),
-            **{name: [plain(entry) for entry in getattr(self, name)] for name in _NAMES},
-        }
+        gains = {name: [np.array(entry).tolist() for entry in getattr(self, name)] for name in GAIN_NAMES}
+        return {"q2": list(self.q2), "q3": list(self.q3), **gains}
 
     @classmethod
-    def from_mapping(cls, mapping: Mapping) -> GainSchedule:
+    def from_mapping(cls, mapping: Mapping[str, Any]) -> GainSchedule:
         """The inverse of `to_mapping`; raises ParameterError."""
-        if not isinstance(mapping, Mapping) or set(mapping) != set(_KEYS):
-            found = ", ".join(map(str, mapping)) if isinstance(mapping, Mapping) else repr(mapping)
-            raise ParameterError(f"keys {found}", where="gain schedule", expected=", ".join(_KEYS))
+        check_keys(mapping, _KEYS, _WHERE)
         return cls(**mapping)
 
 
-def _angles(values, name: str) -> tuple[float, ...]:
+def _angles(values: Iterable[float], name: str) -> tuple[float, ...]:
     try:
         angles = tuple(float(value) for value in values)
     except (TypeError, ValueError):
         angles = ()
     if len(angles) < 2 or not all(map(isfinite, angles)) or any(b <= a for a, b in itertools.pairwise(angles)):
-        raise ParameterError(
-            f"{name} = {values!r}", where="gain schedule", expected="increasing angles [rad], two at least"
-        )
+        raise ParameterError(f"{name} = {values!r}", where=_WHERE, expected="increasing angles [rad], two at least")
     return angles
 
 
-def _entry(entry, what: str, shape):
+def _entry(entry: Any, what: str, shape: tuple[int, int]) -> Any:
     try:
         values = np.array(entry, dtype=float)
     except (TypeError, ValueError):
@@ -126,15 +111,12 @@ def _entry(entry, what: str, shape):
     if values.shape == () and not isinstance(entry, (bool, str)):
         return float(entry)
     if values.ndim != 2 or any(n not in (1, m) for n, m in zip(values.shape, shape)) or not np.isfinite(values).all():
-        raise ParameterError(
-            f"{what} = {entry!r}"[:200],
-            where="gain schedule",
-            expected=f"a number, or {shape[0]} rows of {shape[1]} numbers",
-        )
+        expected = f"a number, or {shape[0]} rows of {shape[1]} numbers"
+        raise ParameterError(f"{what} = {entry!r}"[:200], where=_WHERE, expected=expected)
     return tuple(tuple(row) for row in np.broadcast_to(values, shape).tolist())
 
 
-def _place(angles, q: float) -> tuple[int, float]:
+def _place(angles: Sequence[float], q: float) -> tuple[int, float]:
     """The interval of the table that q [rad] lies in, and the share of it, 0 to 1."""
     i = min(max(bisect_right(angles, q) - 1, 0), len(angles) - 2)
     return i, min(max((q - angles[i]) / (angles[i + 1] - angles[i]), 0.0), 1.0)
@@ -146,26 +128,16 @@ class ScheduledPid:
     The sum of the integral action is kept in volts, so that a change of the gain moves nothing by
     itself. With the same gains everywhere it gives the same bits as `pid.Pid`.
 
-    Parameters
-    ----------
-    schedule : the gains.
-    period : h [s], the stated rate of `update`.
-    limit : greatest magnitude of the output [V].
+    period : h [s], the stated rate of `update`; limit : greatest magnitude of the output [V];
     on_measurement : take the derivative of the measurement, not of the error.
 
-    Raises
-    ------
-    ParameterError : a period or limit that is not positive.
+    Raises ParameterError: a period or limit that is not positive.
     """
 
     def __init__(self, schedule: GainSchedule, period: float, *, limit: float = inf, on_measurement: bool = True):
-        if not (isfinite(period) and period > 0.0):
-            raise ParameterError(f"period = {period!r}", where="scheduled PID", expected="seconds, positive")
-        if not limit > 0.0:
-            raise ParameterError(f"limit = {limit!r}", where="scheduled PID", expected="volts, positive")
         self.schedule = schedule
-        self.period = float(period)
-        self.limit = float(limit)
+        self.period = check_positive(period, "period", "s", "scheduled PID")
+        self.limit = check_positive(limit, "limit", "V", "scheduled PID", infinite=True)
         self.on_measurement = bool(on_measurement)
         self.reset()
 
@@ -175,19 +147,9 @@ class ScheduledPid:
         self._gain: list[float] | None = None
         self._before: list[float] | None = None
 
-    def update(self, t: float, setpoint: Sequence[float], measurement: Sequence[float]) -> tuple[float, float, float]:
-        """Volts for one sample at time t [s]; setpoint and measurement (3,) [rad].
-
-        Raises
-        ------
-        ParameterError : wrong number of joints.
-        """
-        if len(setpoint) != 3 or len(measurement) != 3:
-            raise ParameterError(
-                f"{len(setpoint)} setpoints and {len(measurement)} measurements",
-                where="scheduled PID",
-                expected="3 of each",
-            )
+    def update(self, t: float, setpoint: Sequence[float], measurement: Sequence[float]) -> tuple[float, ...]:
+        """Volts for one sample at time t [s]; setpoint and measurement (3,) [rad]; raises ParameterError on others."""
+        check_three_each(setpoint, measurement, "scheduled PID")
         gains = self.schedule.at(float(measurement[1]), float(measurement[2]))
         if self._gain is None:
             self._gain = [g[0] for g in gains]
@@ -198,16 +160,9 @@ class ScheduledPid:
         for j, (gain, integral_time, derivative_time) in enumerate(gains):
             self._total[j] *= self._gain[j] / gain
             self._gain[j] = gain
-            u, self._total[j] = _law(
-                error[j],
-                now[j],
-                before[j],
-                self._total[j],
-                gain,
-                self.period / integral_time,
-                derivative_time / self.period,
-                self.limit,
-            )
+            integral, derivative = self.period / integral_time, derivative_time / self.period
+            signals = (error[j], now[j], before[j], self._total[j])
+            u, self._total[j] = _law(*signals, gain, integral, derivative, self.limit)
             volts.append(u)
         self._before = now
         return tuple(volts)

@@ -9,68 +9,53 @@ but no model of the arm. While a voltage is at its limit, its sum does not grow.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from math import exp, inf, isfinite
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import exp, inf
+from typing import Any
 
-from puma_sim_core.control.reference import SetpointReference
-from puma_sim_core.dynamics.pid import pid_law
-from puma_sim_core.errors import ParameterError
+from puma_sim_core.checks import check_positive, check_three_positive
+from puma_sim_core.control.reference import Bounds, SetpointReference
 from puma_sim_core.jit import interpreted
+from puma_sim_core.servo.pid import pid_law
 
-_law = interpreted(pid_law)
+_law: Callable[..., Any] = interpreted(pid_law)
+_WHERE = "velocity loop"
+
+
+@dataclass(frozen=True)
+class VelocityLoopSettings:
+    """position_gain Kp [1/s], velocity_gain Kv [V.s/rad], velocity_time Tv [s] : (3,) each; greatest_velocity,
+    greatest_acceleration, lead : see `reference.Bounds`; velocity_filter : of the measured velocity [rad/s]."""
+
+    position_gain: Sequence[float]
+    velocity_gain: Sequence[float]
+    velocity_time: Sequence[float]
+    greatest_velocity: Sequence[float]
+    greatest_acceleration: Sequence[float]
+    velocity_filter: float = 300.0
+    lead: float = 1.0
 
 
 class VelocityLoop:
     """Position and velocity loops of the three joints; see the module.
 
-    Parameters
-    ----------
-    period : h [s], the stated rate of `update`; setpoint_period : whole periods [s].
-    position_gain Kp [1/s], velocity_gain Kv [V.s/rad], velocity_time Tv [s] : (3,) each.
-    velocity_filter : of the measured velocity [rad/s].
-    greatest_velocity (3,) [rad/s], greatest_acceleration (3,) [rad/s^2], lead : see `reference`.
-    limit : greatest magnitude of the output [V].
+    period : h [s], the stated rate of `update`; setpoint_period : whole periods [s]; limit : greatest magnitude of
+    the output [V].
 
-    Raises
-    ------
-    ParameterError : names what cannot be.
+    Raises ParameterError: names what cannot be.
     """
 
     def __init__(
-        self,
-        period: float,
-        *,
-        position_gain: Sequence[float],
-        velocity_gain: Sequence[float],
-        velocity_time: Sequence[float],
-        greatest_velocity: Sequence[float],
-        greatest_acceleration: Sequence[float],
-        velocity_filter: float = 300.0,
-        lead: float = 1.0,
-        setpoint_period: float = 0.028,
-        limit: float = inf,
+        self, settings: VelocityLoopSettings, period: float, *, setpoint_period: float = 0.028, limit: float = inf
     ):
-        where = "velocity loop"
-        for name, values in (
-            ("position_gain", position_gain),
-            ("velocity_gain", velocity_gain),
-            ("velocity_time", velocity_time),
-        ):
-            if len(values) != 3 or not all(isfinite(v) and v > 0.0 for v in values):
-                raise ParameterError(f"{name} = {list(values)!r}", where=where, expected="three positive numbers")
-        for name, value in (("period", period), ("limit", limit), ("velocity_filter", velocity_filter)):
-            if not value > 0.0:
-                raise ParameterError(f"{name} = {value!r}", where=where, expected="a positive number")
-        samples = round(setpoint_period / period)
-        if samples < 1 or abs(samples * period - setpoint_period) > 1e-9 * setpoint_period:
-            raise ParameterError(
-                f"period = {period!r} s", where=where, expected=f"a whole part of {setpoint_period!r} s"
-            )
-        self.period = float(period)
-        self.limit = float(limit)
-        self._gains = tuple(zip(position_gain, velocity_gain, velocity_time))
-        self._filter = 1.0 - exp(-period * velocity_filter)
-        self._reference = SetpointReference(samples, setpoint_period, greatest_velocity, greatest_acceleration, lead)
+        s, names = settings, ("position_gain", "velocity_gain", "velocity_time")
+        self._gains = tuple(zip(*(check_three_positive(getattr(s, name), name, _WHERE) for name in names)))
+        self.period = check_positive(period, "period", "s", _WHERE)
+        self.limit = check_positive(limit, "limit", "V", _WHERE, infinite=True)
+        self._filter = 1.0 - exp(-period * check_positive(s.velocity_filter, "velocity_filter", "rad/s", _WHERE, True))
+        bounds = Bounds(s.greatest_velocity, s.greatest_acceleration, s.lead)
+        self._reference = SetpointReference(period, setpoint_period, bounds, _WHERE)
         self.reset()
 
     def reset(self) -> None:
@@ -80,7 +65,7 @@ class VelocityLoop:
         self._velocity = [0.0, 0.0, 0.0]
         self._before: list[float] | None = None
 
-    def update(self, t: float, setpoint: Sequence[float], measurement: Sequence[float]) -> tuple[float, float, float]:
+    def update(self, t: float, setpoint: Sequence[float], measurement: Sequence[float]) -> tuple[float, ...]:
         """Volts for one sample at time t [s]; setpoint and measurement (3,) [rad]."""
         q = [float(y) for y in measurement]
         before = q if self._before is None else self._before

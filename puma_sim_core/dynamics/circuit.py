@@ -4,25 +4,35 @@
 
 from __future__ import annotations
 
-from puma_sim_core.dynamics.laws import ALGEBRAIC, CURRENT_LIMIT, DROOP, bounded_current, bounded_rate, supply_share
-from puma_sim_core.jit import inlined
+from puma_sim_core.dynamics.laws import (
+    ALGEBRAIC,
+    CURRENT_LIMIT,
+    DROOP,
+    bounded_current,
+    bounded_rate,
+    resistance_factor,
+    supply_share,
+    viscous_factor,
+)
+from puma_sim_core.dynamics.types import Drive, Model
+from puma_sim_core.jit import Table, Vec, inlined
 
 
 @inlined
-def supplied(v, i1, i2, i3, p):
+def supplied(v: Vec, i1: float, i2: float, i3: float, p: Table) -> Vec:
     """Voltages [V] that are left of a supply that sags under the currents."""
     share = supply_share(0, i1, i2, i3, p)
     return v[0] * share, v[1] * share, v[2] * share
 
 
 @inlined
-def limited_currents(i1, i2, i3, p):
+def limited_currents(i1: float, i2: float, i3: float, p: Table) -> Vec:
     """Currents [A] of the three motors within their bounds."""
     return bounded_current(0, i1, p), bounded_current(1, i2, p), bounded_current(2, i3, p)
 
 
 @inlined
-def settled_currents(x, v, model, p):
+def settled_currents(x: Vec, v: Vec, model: Model, p: Table) -> Vec:
     """Currents [A]: of a motor without inductance what voltage and speed make of it, else the state's own.
 
     A supply sags under the currents of the state.
@@ -49,14 +59,14 @@ def settled_currents(x, v, model, p):
 
 
 @inlined
-def settled_state(x, v, model, p):
+def settled_state(x: Vec, v: Vec, model: Model, p: Table) -> Vec:
     """The state with `settled_currents`."""
     i1, i2, i3 = settled_currents(x, v, model, p)
     return x[0], x[1], x[2], x[3], x[4], x[5], i1, i2, i3
 
 
 @inlined
-def motor_torques(x, v, model, p):
+def motor_torques(x: Vec, v: Vec, model: Model, p: Table) -> Vec:
     """Torques [N.m] that the motors give at the joints after viscous friction."""
     _, _, _, n1, h1, _, _, _, n2, h2, _, _, _, n3, h3 = model.drive
     i1, i2, i3 = x[6], x[7], x[8]
@@ -66,7 +76,7 @@ def motor_torques(x, v, model, p):
 
 
 @inlined
-def electric_rates(x, v, model, p):
+def electric_rates(x: Vec, v: Vec, model: Model, p: Table) -> Vec:
     """Currents [A], as they are or as the voltages settle them, and their rates [A/s] (equation 5.1)."""
     _body, drive, active = model
     y1, r1, k1, _, _, y2, r2, k2, _, _, y3, r3, k3, _, _ = drive
@@ -84,3 +94,26 @@ def electric_rates(x, v, model, p):
         e2 = bounded_rate(1, i2, e2, p)
         e3 = bounded_rate(2, i3, e3, p)
     return i1, i2, i3, e1, e2, e3
+
+
+@inlined
+def drive_at(time: float, drive: Drive, p: Table) -> Drive:
+    """The constants of the drives at a time [s]: of motors and grease that warm up, taken at the middle of a step."""
+    y1, r1, k1, n1, h1, y2, r2, k2, n2, h2, y3, r3, k3, n3, h3 = drive
+    return Drive(
+        y1,
+        r1 * resistance_factor(0, time, p),
+        k1,
+        n1,
+        h1 * viscous_factor(0, time, p),
+        y2,
+        r2 * resistance_factor(1, time, p),
+        k2,
+        n2,
+        h2 * viscous_factor(1, time, p),
+        y3,
+        r3 * resistance_factor(2, time, p),
+        k3,
+        n3,
+        h3 * viscous_factor(2, time, p),
+    )

@@ -21,7 +21,7 @@ from puma_sim_core.dynamics.laws import ALGEBRAIC, DRY, LOCKED, VARYING, constan
 from puma_sim_core.dynamics.rigid import arm_step, library_trigonometry, remove_rows, rigid_body, solve
 from puma_sim_core.dynamics.torques import effect_torques, gravity_torques, has_bristle, has_dry, sliding_level
 from puma_sim_core.dynamics.types import STILL, Model
-from puma_sim_core.jit import inlined, interpreted, merged, outlined
+from puma_sim_core.jit import Table, Vec, inlined, interpreted, merged, outlined
 
 #: changes of contact that are located inside one step; more than that is chatter, see below
 _CHANGES = 12
@@ -31,7 +31,7 @@ _RESOLUTION = 1e-12
 
 
 @inlined
-def slip_direction(j, locked, w, p):
+def slip_direction(j: int, locked: float, w: float, p: Table) -> float:
     """Direction in which joint j slides against dry friction: +1, -1, or 0 where it does not."""
     if locked != 0.0 or w == 0.0 or has_bristle(j, p):
         return 0.0
@@ -39,7 +39,7 @@ def slip_direction(j, locked, w, p):
 
 
 @inlined
-def sliding(s1, s2, s3, p, push):
+def sliding(s1: float, s2: float, s3: float, p: Table, push: Vec) -> Vec:
     """The kernel's `slip` for the three directions, and for torques [N.m] that push the joints."""
     return (
         s1,
@@ -52,7 +52,7 @@ def sliding(s1, s2, s3, p, push):
 
 
 @inlined
-def motion(j, locked, w, p):
+def motion(j: int, locked: float, w: float, p: Table) -> Vec:
     """(direction of sliding, 1.0 if at rest) of joint j; (0, 0) where dry friction does nothing."""
     if locked != 0.0 or has_bristle(j, p) or not has_dry(j, p):
         return 0.0, 0.0
@@ -62,7 +62,7 @@ def motion(j, locked, w, p):
 
 
 @inlined
-def overload(j, sticks, torque, x, load, p):
+def overload(j: int, sticks: float, torque: float, x: Vec, load: Vec, p: Table) -> float:
     """Torque [N.m] by which a sticking joint is pushed beyond its level; negative while held."""
     if sticks == 0.0:
         return -1.0
@@ -71,7 +71,7 @@ def overload(j, sticks, torque, x, load, p):
 
 
 @inlined
-def free_system(x, z, v, slip, model, p):
+def free_system(x: Vec, z: Vec, v: Vec, slip: Vec, model: Model, p: Table) -> Vec:
     """The system of the arm with friction on its sliding joints only.
 
     z and v are those of a step, for arms that need them (`two_mass.motor_system`).
@@ -85,7 +85,7 @@ def free_system(x, z, v, slip, model, p):
 
 
 @inlined
-def loads(x, model):
+def loads(x: Vec, model: Model) -> Vec:
     """Gravity torques [N.m] of the three joints on a level base, and what their motors give
     after viscous friction, with the currents as they are."""
     _, _, _, w1, w2, w3, i1, i2, i3 = x
@@ -95,7 +95,7 @@ def loads(x, model):
 
 
 @inlined
-def borne_torques(system, lock):
+def borne_torques(system: Vec, lock: Vec) -> Vec:
     """Torques [N.m] that push each joint while the locked ones do not accelerate freely, and the accelerations."""
     m11, m12, m13, m22, m23, m33, b1, b2, b3 = system
     a1, a2, a3 = solve(remove_rows(system, lock))
@@ -110,7 +110,7 @@ def borne_torques(system, lock):
 
 
 @inlined
-def trial(digit, may):
+def trial(digit: int, may: float) -> Vec:
     """(sticks, direction) of a joint at rest for a digit: 0 sticks, 1 and 2 let it go."""
     if may == 0.0:
         return 0.0, 0.0
@@ -120,7 +120,7 @@ def trial(digit, may):
 
 
 @inlined
-def starting_levels(g1, g2, g3, x, load, p):
+def starting_levels(g1: float, g2: float, g3: float, x: Vec, load: Vec, p: Table) -> Vec:
     """Friction [N.m], with its sign, of joints at rest that start in these directions."""
     return (
         g1 * sliding_level(0, g1, x[0], load[0], load[3], 0.0, p),
@@ -130,7 +130,7 @@ def starting_levels(g1, g2, g3, x, load, p):
 
 
 @inlined
-def halt(x, slip):
+def halt(x: Vec, slip: Vec) -> Vec:
     """The state with the velocity of each joint that has passed through rest set to zero."""
     q1, q2, q3, w1, w2, w3, i1, i2, i3 = x
     if slip[0] * w1 < 0.0:
@@ -143,7 +143,7 @@ def halt(x, slip):
 
 
 @inlined
-def with_held(model, held):
+def with_held(model: Model, held: Vec) -> Model:
     """The model with the stage of locked joints where any joint is held."""
     if held[0] + held[1] + held[2] > 0.0:
         return Model(model.body, model.drive, model.active | LOCKED)
@@ -158,7 +158,7 @@ def build_contact(system: Callable[..., Any]) -> tuple[Callable[..., Any], Calla
     """
 
     @inlined
-    def contact(x, z, v, model, p, lock, push):
+    def contact(x: Vec, z: Vec, v: Vec, model: Model, p: Table, lock: Vec, push: Vec) -> tuple[Any, ...]:
         """Which joints stick and where the others slide: (lock with sticking joints, slip).
 
         z, v : what the system may need.
@@ -207,7 +207,7 @@ def build_contact(system: Callable[..., Any]) -> tuple[Callable[..., Any], Calla
         return held, slip
 
     @inlined
-    def margin(x, z, v, model, p, lock, held, slip):
+    def margin(x: Vec, z: Vec, v: Vec, model: Model, p: Table, lock: Vec, held: Vec, slip: Vec) -> float:
         """How far the state is from the end of its contact: negative once it has ended.
 
         The smallest of: velocity along the direction of sliding [rad/s], level less torque of a
@@ -243,7 +243,9 @@ def build_changing_step(
     """
 
     @inlined
-    def changing_step(x, z, v, h, model, p, lock, push):
+    def changing_step(
+        x: Vec, z: Vec, v: Vec, h: float, model: Model, p: Table, lock: Vec, push: Vec
+    ) -> tuple[Any, ...]:
         """`contact_step` where a joint is at rest, or reverses: contacts are found and followed."""
         left = h
         y, z_end = x, z
@@ -295,7 +297,7 @@ contact, margin = build_contact(free_system)
 
 
 @outlined
-def cold_step(x, z, v, h, model, p, held, slip):
+def cold_step(x: Vec, z: Vec, v: Vec, h: float, model: Model, p: Table, held: Vec, slip: Vec) -> tuple[Any, ...]:
     """`rigid.arm_step` as a call, for the places that few steps pass."""
     return arm_step(x, z, v, h, model, p, held, slip)
 
@@ -304,7 +306,7 @@ changing_step = outlined(interpreted(build_changing_step(cold_step, contact, mar
 
 
 @merged
-def contact_step(x, z, v, h, model, p, lock, push):
+def contact_step(x: Vec, z: Vec, v: Vec, h: float, model: Model, p: Table, lock: Vec, push: Vec) -> tuple[Any, ...]:
     """State and bristles after `h` seconds with dry friction; arguments as `rigid.arm_step`.
 
     push : torques [N.m] in the direction of positive motion, constant over the step.

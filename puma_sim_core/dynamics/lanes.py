@@ -2,7 +2,7 @@
 # Copyright the puma-sim contributors
 """Several runs side by side in the lanes of the processor's vector registers.
 
-The same step as in `kernel`, inside a loop over lanes that the compiler turns into vector
+The same step as that of one arm, inside a loop over lanes that the compiler turns into vector
 instructions. That needs a sine and cosine without calls or branches: polynomials on
 [-pi/4, pi/4] behind a reduction by pi/2 in three parts. They are within 1 ulp of the C library's
 for angles up to 1e5 rad, so that a run in a lane agrees with the same run alone to rounding, not
@@ -16,7 +16,7 @@ from math import floor
 from puma_sim_core.dynamics.laws import UNBENT
 from puma_sim_core.dynamics.rigid import build_arm
 from puma_sim_core.dynamics.types import FREE, NO_SLIP, Model
-from puma_sim_core.jit import compiled, inlined
+from puma_sim_core.jit import Table, Vec, compiled, inlined, written
 
 #: runs side by side: two registers of AVX2, one of AVX-512
 LANES = 8
@@ -29,7 +29,7 @@ _P1, _P2, _P3 = 1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-2
 
 
 @inlined
-def polynomial_sin_cos(x):
+def polynomial_sin_cos(x: Table) -> tuple[Table, Table]:
     """Sine and cosine, free of branches.
 
     The coefficients interpolate (sin r / r - 1) / z and (cos r - 1 + z/2) / z^2 at the Chebyshev
@@ -38,35 +38,12 @@ def polynomial_sin_cos(x):
     n = floor(x * _TWO_OVER_PI + 0.5)
     r = ((x - n * _P1) - n * _P2) - n * _P3
     z = r * r
-    s = r + r * z * (
-        -0.16666666666666666
-        + z
-        * (
-            0.008333333333330948
-            + z
-            * (
-                -0.00019841269836756774
-                + z * (2.7557316101617874e-06 + z * (-2.505113165023518e-08 + z * 1.5918115263265974e-10))
-            )
-        )
-    )
-    c = 1.0 - (
-        0.5 * z
-        - z
-        * z
-        * (
-            0.041666666666666664
-            + z
-            * (
-                -0.0013888888888887398
-                + z
-                * (
-                    2.480158729876456e-05
-                    + z * (-2.7557317271145144e-07 + z * (2.087614614655861e-09 - z * 1.1382623647474604e-11))
-                )
-            )
-        )
-    )
+    s = z * (2.7557316101617874e-06 + z * (-2.505113165023518e-08 + z * 1.5918115263265974e-10))
+    s = -0.16666666666666666 + z * (0.008333333333330948 + z * (-0.00019841269836756774 + s))
+    s = r + r * z * s
+    c = z * (-2.7557317271145144e-07 + z * (2.087614614655861e-09 - z * 1.1382623647474604e-11))
+    c = -0.0013888888888887398 + z * (2.480158729876456e-05 + c)
+    c = 1.0 - (0.5 * z - z * z * (0.041666666666666664 + z * c))
     quarter = n - 4.0 * floor(0.25 * n)
     odd = quarter == 1.0 or quarter == 3.0
     sine = c if odd else s
@@ -77,8 +54,8 @@ def polynomial_sin_cos(x):
 
 
 @inlined
-def polynomial_trigonometry(q2, q3):
-    """(sin q2, cos q2, sin(q2 + q3), cos(q2 + q3)); see `kernel.library_trigonometry`."""
+def polynomial_trigonometry(q2: Table, q3: Table) -> Vec:
+    """(sin q2, cos q2, sin(q2 + q3), cos(q2 + q3)); see `rigid.library_trigonometry`."""
     s2, c2 = polynomial_sin_cos(q2)
     su, cu = polynomial_sin_cos(q2 + q3)
     return s2, c2, su, cu
@@ -87,65 +64,27 @@ def polynomial_trigonometry(q2, q3):
 _, lane_step = build_arm(polynomial_trigonometry)
 
 
+def _numbers(first: int, count: int) -> list[str]:
+    return [f"a[{LANES * number} + m]" for number in range(first, first + count)]
+
+
+#: (a, m) -> state, voltages, body and drive of lane m; (a, m, y) puts the state y in it
+_PARTS = ["(" + ", ".join(_numbers(*part)) + ")" for part in ((0, 9), (9, 3), (12, 20), (32, 15))]
+lane_of = written("lane_of", "a, m", [f"return {', '.join(_PARTS)}"], {})
+put_state = written("put_state", "a, m, y", [f"{place} = y[{k}]" for k, place in enumerate(_numbers(0, 9))], {})
+
+
 @inlined
-def step_lanes(a, h, p):
+def step_lanes(a: Table, h: float, p: Table) -> None:
     """One step of all lanes; a: flat, number k of lane l at k * LANES + l."""
     for m in range(LANES):
-        x = (a[m], a[8 + m], a[16 + m], a[24 + m], a[32 + m], a[40 + m], a[48 + m], a[56 + m], a[64 + m])
-        v = (a[72 + m], a[80 + m], a[88 + m])
-        body = (
-            a[96 + m],
-            a[104 + m],
-            a[112 + m],
-            a[120 + m],
-            a[128 + m],
-            a[136 + m],
-            a[144 + m],
-            a[152 + m],
-            a[160 + m],
-            a[168 + m],
-            a[176 + m],
-            a[184 + m],
-            a[192 + m],
-            a[200 + m],
-            a[208 + m],
-            a[216 + m],
-            a[224 + m],
-            a[232 + m],
-            a[240 + m],
-            a[248 + m],
-        )
-        drive = (
-            a[256 + m],
-            a[264 + m],
-            a[272 + m],
-            a[280 + m],
-            a[288 + m],
-            a[296 + m],
-            a[304 + m],
-            a[312 + m],
-            a[320 + m],
-            a[328 + m],
-            a[336 + m],
-            a[344 + m],
-            a[352 + m],
-            a[360 + m],
-            a[368 + m],
-        )
+        x, v, body, drive = lane_of(a, m)
         y, _ = lane_step(x, UNBENT, v, h, Model(body, drive, 0), p, FREE, NO_SLIP)
-        a[m] = y[0]
-        a[8 + m] = y[1]
-        a[16 + m] = y[2]
-        a[24 + m] = y[3]
-        a[32 + m] = y[4]
-        a[40 + m] = y[5]
-        a[48 + m] = y[6]
-        a[56 + m] = y[7]
-        a[64 + m] = y[8]
+        put_state(a, m, y)
 
 
 @compiled
-def run_lanes(a, volts, which, counts, steps, p, out):
+def run_lanes(a: Table, volts: Table, which: Table, counts: Table, steps: Table, p: Table, out: Table) -> None:
     """One group of LANES runs without effects or constraints.
 
     a : flat, LANE_NUMBERS * LANES, the lanes' numbers, moved on; volts (k, n, 3) [V], terminal

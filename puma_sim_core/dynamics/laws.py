@@ -3,19 +3,23 @@
 """The laws of all effects, combined point by point: what the step calls.
 
 Each function here is written out from the registry, as one would by hand: the sum of two laws is
-``f0(p, k + 12, q, qd) + f1(p, k + 31, q, qd)``. So it costs what a sum written by hand costs, compiled or not. p is
-the packed table of effects and k the place where the part of joint j begins; laws of the whole arm take j = 0.
+``p[k + 12] + f1(p, k + 31, q, qd)``, where a law that is one expression stands as it is and a longer one is called. So
+it costs what a sum written by hand costs, compiled or not. p is the packed table of effects and k the place where the
+part of joint j begins; laws of the whole arm take j = 0.
 """
 
 from __future__ import annotations
 
+import ast
+import builtins
+import inspect
+import textwrap
 from collections.abc import Callable
-from math import inf
 from typing import Any
 
 from puma_sim_core.effects import registry
 from puma_sim_core.effects.base import Point, Stage
-from puma_sim_core.jit import inlined
+from puma_sim_core.jit import inlined, interpreted, written
 
 #: parameters of one joint in the packed table
 WIDTH = registry.WIDTH
@@ -29,15 +33,49 @@ _JOINED = {"sum": " + ", "product": " * ", "any": " or "}
 _EMPTY = {"sum": "0.0", "product": "1.0", "any": "False", "least": "inf", "triple": "(0.0, 0.0, 0.0)"}
 
 
-def written(
-    name: str, arguments: str, body: list[str], functions: dict[str, Any], jit: Callable[..., Any] = inlined
-) -> Callable[..., Any]:
-    """The inlined function of a body written as lines of source."""
-    source = f"def {name}({arguments}):\n" + "".join(f"    {line}\n" for line in body)
-    scope: dict[str, Any] = {**functions, "inf": inf}
-    exec(compile(source, f"<laws: {name}>", "exec"), scope)
-    function: Callable[..., Any] = jit(scope[name])
-    return function
+class _Inlining(ast.NodeTransformer):
+    """Put a call's arguments for the parameters of a law, its place for k, and names of its own for its globals."""
+
+    def __init__(self, function: Callable[..., Any], prefix: str, arguments: list[str], place: int):
+        self.names = dict(zip(inspect.signature(function).parameters, ["p", f"k + {place}", *arguments]))
+        self.scope, self.prefix, self.place = function.__globals__, prefix, place
+        self.used: dict[str, Any] = {}
+
+    def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
+        match node:
+            case ast.BinOp(ast.Name("k"), ast.Add(), ast.Constant(int(further))):
+                return ast.parse(f"k + {self.place + further}", mode="eval").body
+        return self.generic_visit(node)
+
+    def visit_Name(self, node: ast.Name) -> ast.AST:
+        if node.id in self.names:
+            return ast.parse(self.names[node.id], mode="eval").body
+        if node.id in self.scope:
+            self.used[self.prefix + node.id] = self.scope[node.id]
+            return ast.Name(self.prefix + node.id, ast.Load())
+        if not hasattr(builtins, node.id):
+            raise NameError(node.id)
+        return node
+
+
+def _expression(
+    function: Callable[..., Any], prefix: str, arguments: list[str], place: int
+) -> tuple[str, dict[str, Any]] | None:
+    """Source of a law that is one expression, with its arguments in it, and the globals that it uses; else None."""
+    try:
+        definition = ast.parse(textwrap.dedent(inspect.getsource(function))).body[0]
+    except (OSError, SyntaxError):  # no source, or not by itself
+        return None
+    if not isinstance(definition, ast.FunctionDef):
+        return None
+    *before, last = definition.body
+    if len(before) > (ast.get_docstring(definition) is not None) or not isinstance(last, ast.Return) or not last.value:
+        return None
+    inlining = _Inlining(function, prefix, arguments, place)
+    try:
+        return f"({ast.unparse(inlining.visit(last.value))})", inlining.used
+    except NameError:  # a closure's
+        return None
 
 
 def combined(point: Point, jit: Callable[..., Any] = inlined) -> Callable[..., Any]:
@@ -45,10 +83,16 @@ def combined(point: Point, jit: Callable[..., Any] = inlined) -> Callable[..., A
 
     jit : `jit.interpreted` gives the plain Python of it.
     """
-    laws = registry.laws(point)
-    functions = {f"f{n}": function if jit is inlined else jit(function) for n, (function, _) in enumerate(laws)}
     how, arguments = point.combined, [name for name in point.arguments.split(", ") if name]
-    calls = [f"f{n}({', '.join(['p', f'k + {place}', *arguments])})" for n, (_, place) in enumerate(laws)]
+    calls: list[str] = []
+    functions: dict[str, Any] = {}
+    for n, (function, place) in enumerate(registry.laws(point)):
+        call = f"f{n}({', '.join(['p', f'k + {place}', *arguments])})"
+        call, used = _expression(interpreted(function), f"f{n}_", arguments, place) or (call, {f"f{n}": function})
+        calls.append(call)
+        functions |= used
+    if jit is not inlined:
+        functions = {name: jit(value) for name, value in functions.items()}
     body = [f"k = j * {WIDTH}"] if calls else []
     if how == "chain":
         body += [*(f"{arguments[-1]} = {call}" for call in calls), f"return {arguments[-1]}"]

@@ -19,13 +19,14 @@ from typing import Any
 
 from puma_sim_core.dynamics.circuit import electric_rates
 from puma_sim_core.dynamics.laws import ALGEBRAIC, CURRENT_LIMIT, DROOP, LOCKED, bounded_rate
-from puma_sim_core.dynamics.rk4 import System, arm_with_currents, build_step, moved_arm, weighted_arm
+from puma_sim_core.dynamics.rk4 import ARM, build_step
 from puma_sim_core.dynamics.torques import effect_torques
-from puma_sim_core.jit import inlined
+from puma_sim_core.dynamics.types import Model
+from puma_sim_core.jit import Table, Vec, inlined
 
 
 @inlined
-def rigid_body(w1, w2, w3, t1, t2, t3, trig, body):
+def rigid_body(w1: float, w2: float, w3: float, t1: float, t2: float, t3: float, trig: Vec, body: Table) -> Vec:
     """M = D + Ia, row by row from the diagonal, and b = t - C(qd, qd) - G (equation 4.1).
 
     trig = (sin q2, cos q2, sin(q2 + q3), cos(q2 + q3)).
@@ -62,7 +63,7 @@ def rigid_body(w1, w2, w3, t1, t2, t3, trig, body):
 
 
 @inlined
-def remove_rows(system, lock):
+def remove_rows(system: Vec, lock: Vec) -> Vec:
     """The system with the rows and columns of locked joints taken out.
 
     Their accelerations are known; what they exert on the others moves to the right-hand side.
@@ -85,7 +86,7 @@ def remove_rows(system, lock):
 
 
 @inlined
-def solve(system):
+def solve(system: Vec) -> Vec:
     """Solution of the symmetric positive definite system by elimination from joint 3 upward."""
     m11, m12, m13, m22, m23, m33, b1, b2, b3 = system
     # m33 is a constant unless joint 3 is locked: its reciprocal leaves the loop over steps
@@ -104,7 +105,7 @@ def solve(system):
 
 
 @inlined
-def library_trigonometry(q2, q3):
+def library_trigonometry(q2: float, q3: float) -> Vec:
     """(sin q2, cos q2, sin(q2 + q3), cos(q2 + q3)) by the C library."""
     u = q2 + q3
     return sin(q2), cos(q2), sin(u), cos(u)
@@ -117,7 +118,7 @@ def build_arm(trigonometry: Callable[..., Any]) -> tuple[Callable[..., Any], Cal
     """
 
     @inlined
-    def derivative(x, v, model, p, lock, slip, bend):
+    def derivative(x: Vec, v: Vec, model: Model, p: Table, lock: Vec, slip: Vec, bend: Vec) -> Vec:
         """(qd, qdd, di/dt) of the three joints, nine numbers in rad/s, rad/s^2 and A/s."""
         _, _, _, w1, w2, w3, i1, i2, i3 = x
         body, drive, active = model
@@ -145,7 +146,7 @@ def build_arm(trigonometry: Callable[..., Any]) -> tuple[Callable[..., Any], Cal
         a1, a2, a3 = solve(system)
         return w1, w2, w3, a1, a2, a3, e1, e2, e3
 
-    return derivative, build_step(System(derivative, moved_arm, weighted_arm, arm_with_currents, trigonometry))
+    return derivative, build_step(derivative, ARM, trigonometry)
 
 
 derivative, arm_step = build_arm(library_trigonometry)

@@ -15,30 +15,48 @@ from typing import Any, NamedTuple
 from puma_sim_core.dynamics.circuit import limited_currents, motor_torques, settled_currents
 from puma_sim_core.dynamics.laws import ALGEBRAIC, BRISTLE, CURRENT_LIMIT, POSED
 from puma_sim_core.dynamics.torques import bristle_levels, bristle_torques
-from puma_sim_core.dynamics.types import STILL
-from puma_sim_core.jit import inlined
+from puma_sim_core.dynamics.types import STILL, Model
+from puma_sim_core.jit import Table, Vec, inlined, written
 
 
-class System(NamedTuple):
-    """What is stepped: a state y that begins with the nine numbers x.
+class Sums(NamedTuple):
+    """The sums of the method for a state y that begins with the nine numbers x.
 
-    rates : (y, v, model, p, lock, slip, bend) -> derivative of y; moved : (y, h, k) -> y + h k; weighted : (a, b, c, d)
-    -> a + 2 (b + c) + d; with_currents : (y, i1, i2, i3) -> y with these; trigonometry : (q2, q3) -> trig.
+    moved : (y, h, k) -> y + h k; weighted : (a, b, c, d) -> a + 2 (b + c) + d; with_currents : (y, i1, i2, i3) -> y
+    with these.
     """
 
-    rates: Callable[..., Any]
     moved: Callable[..., Any]
     weighted: Callable[..., Any]
     with_currents: Callable[..., Any]
-    trigonometry: Callable[..., Any]
 
 
-def build_step(system: System) -> Callable[..., Any]:
-    """The step of a system: (y, z, v, h, model, p, lock, slip) -> y and deflections z after h seconds."""
-    rates, moved, weighted, with_currents, trigonometry = system
+def sums_of(width: int, total: str = "a{i} + 2.0 * (b{i} + c{i}) + d{i}") -> Sums:
+    """The sums for states of so many numbers, written out; total : the weighted one, in an order that the bits keep."""
+
+    def numbers(term: str) -> str:
+        return ", ".join(term.format(i=i) for i in range(width))
+
+    def sums(vectors: str, term: str) -> list[str]:
+        return [*(f"{numbers(name + '{i}')} = {name}" for name in vectors), f"return ({numbers(term)})"]
+
+    kept = numbers("y[{i}]").replace("y[6], y[7], y[8]", "i1, i2, i3")
+    return Sums(
+        written("moved", "y, h, k", sums("yk", "y{i} + h * k{i}"), {}),
+        written("weighted", "a, b, c, d", sums("abcd", total), {}),
+        written("with_currents", "y, i1, i2, i3", [f"return ({kept})"], {}),
+    )
+
+
+def build_step(rates: Callable[..., Any], sums: Sums, trigonometry: Callable[..., Any]) -> Callable[..., Any]:
+    """The step of a system: (y, z, v, h, model, p, lock, slip) -> y and deflections z after h seconds.
+
+    rates : (y, v, model, p, lock, slip, bend) -> derivative of y; trigonometry : (q2, q3) -> trig.
+    """
+    moved, weighted, with_currents = sums
 
     @inlined
-    def step(y, z, v, h, model, p, lock, slip):
+    def step(y: Vec, z: Vec, v: Vec, h: float, model: Model, p: Table, lock: Vec, slip: Vec) -> tuple[Any, ...]:
         active, half = model.active, 0.5 * h
         bend, level = STILL, STILL
         if active & BRISTLE:
@@ -75,45 +93,5 @@ def build_step(system: System) -> Callable[..., Any]:
     return step
 
 
-@inlined
-def moved_arm(x, h, k):
-    """x + h k of an arm, nine numbers."""
-    q1, q2, q3, w1, w2, w3, i1, i2, i3 = x
-    k1, k2, k3, k4, k5, k6, k7, k8, k9 = k
-    return (
-        q1 + h * k1,
-        q2 + h * k2,
-        q3 + h * k3,
-        w1 + h * k4,
-        w2 + h * k5,
-        w3 + h * k6,
-        i1 + h * k7,
-        i2 + h * k8,
-        i3 + h * k9,
-    )
-
-
-@inlined
-def weighted_arm(a, b, c, d):
-    """a + 2 (b + c) + d of four rates of an arm, nine numbers."""
-    a1, a2, a3, a4, a5, a6, a7, a8, a9 = a
-    b1, b2, b3, b4, b5, b6, b7, b8, b9 = b
-    c1, c2, c3, c4, c5, c6, c7, c8, c9 = c
-    d1, d2, d3, d4, d5, d6, d7, d8, d9 = d
-    return (
-        a1 + 2.0 * (b1 + c1) + d1,
-        a2 + 2.0 * (b2 + c2) + d2,
-        a3 + 2.0 * (b3 + c3) + d3,
-        a4 + 2.0 * (b4 + c4) + d4,
-        a5 + 2.0 * (b5 + c5) + d5,
-        a6 + 2.0 * (b6 + c6) + d6,
-        a7 + 2.0 * (b7 + c7) + d7,
-        a8 + 2.0 * (b8 + c8) + d8,
-        a9 + 2.0 * (b9 + c9) + d9,
-    )
-
-
-@inlined
-def arm_with_currents(x, i1, i2, i3):
-    """x with other currents [A]."""
-    return x[0], x[1], x[2], x[3], x[4], x[5], i1, i2, i3
+#: those of an arm without drive trains
+ARM = sums_of(9)

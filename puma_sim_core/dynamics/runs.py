@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""Whole runs of the kernel in one call: voltages held row by row, or the digital servo.
+"""Whole runs in one call: voltages held row by row, or the digital servo.
+
+What drive trains need is compiled by itself, so that nobody waits for it who does not use it.
 
 The functions here take plain numbers, named tuples and flat arrays, so that they compile; `Simulator`
 and `Session` are their callers. A row of `out` holds the state x and the bristles, twelve numbers;
@@ -10,7 +12,10 @@ state that is not finite and returns its row, or -1.
 
 from __future__ import annotations
 
-from puma_sim_core.dynamics.circuit import settled_state
+from collections.abc import Callable
+from typing import Any
+
+from puma_sim_core.dynamics.circuit import drive_at, settled_state
 from puma_sim_core.dynamics.contact import cold_step, contact, contact_step, with_held
 from puma_sim_core.dynamics.laws import (
     ALGEBRAIC,
@@ -34,11 +39,11 @@ from puma_sim_core.dynamics.laws import (
 )
 from puma_sim_core.dynamics.rigid import arm_step, derivative
 from puma_sim_core.dynamics.sensed import measured_after
-from puma_sim_core.dynamics.servo import MEMORY_WIDTH, SERVO_WIDTH, delayed, servo_at_rest, servo_sample
-from puma_sim_core.dynamics.timed import drive_at, push_over
-from puma_sim_core.dynamics.torques import bristle_torques
-from puma_sim_core.dynamics.types import FREE, NO_SLIP, STILL, Model, State
-from puma_sim_core.jit import compiled, inlined, merged, outlined
+from puma_sim_core.dynamics.torques import bristle_torques, push_over
+from puma_sim_core.dynamics.two_mass import settled_links, train_rates, train_step, trains
+from puma_sim_core.dynamics.types import FREE, NO_SLIP, STILL, Constants, Model, Rows, ServoLoop, State
+from puma_sim_core.jit import Table, Vec, compiled, inlined, interpreted, merged, outlined
+from puma_sim_core.servo.servo import MEMORY_WIDTH, SERVO_WIDTH, delayed, servo_at_rest, servo_sample
 
 #: stages whose runs have rows of WIDE_ROW numbers instead of ROW
 WIDE = SENSED | TWO_MASS | MEMORY
@@ -51,25 +56,25 @@ LATE_WIDTH = 5
 
 
 @inlined
-def terminal_voltage(j, v, p):
+def terminal_voltage(j: int, v: float, p: Table) -> float:
     """Voltage [V] at motor j's terminals for the commanded one, without the sag of the supply."""
     return within_supply(j, after_losses(j, v, p), p)
 
 
 @compiled
-def supply_voltages(v1, v2, v3, p):
+def supply_voltages(v1: float, v2: float, v3: float, p: Table) -> Vec:
     """Voltages [V] that the supply can give of the commanded ones: what a drive reports."""
     return within_supply(0, v1, p), within_supply(1, v2, p), within_supply(2, v3, p)
 
 
 @compiled
-def terminal_voltages(v1, v2, v3, p):
+def terminal_voltages(v1: float, v2: float, v3: float, p: Table) -> Vec:
     """Voltages [V] at the three motors' terminals for the commanded ones."""
     return terminal_voltage(0, v1, p), terminal_voltage(1, v2, p), terminal_voltage(2, v3, p)
 
 
 @merged
-def advance(state, v, t, h, n, model, p, lock):
+def advance(state: State, v: Vec, t: float, h: float, n: int, model: Model, p: Table, lock: Vec) -> State:
     """The state after n steps of h seconds from time t [s] on with the voltages v held."""
     x, z, m = state
     if model.active != 0:
@@ -83,7 +88,7 @@ def advance(state, v, t, h, n, model, p, lock):
 
 
 @merged
-def advance_stages(state, v, t, h, n, model, p, lock):
+def advance_stages(state: State, v: Vec, t: float, h: float, n: int, model: Model, p: Table, lock: Vec) -> State:
     """`advance` for a plant with active stages."""
     x, z, m = state
     active = model.active
@@ -109,7 +114,7 @@ def advance_stages(state, v, t, h, n, model, p, lock):
 
 
 @inlined
-def is_finite(x):
+def is_finite(x: Vec) -> bool:
     """Whether all nine numbers of the state are finite."""
     q1, q2, q3, w1, w2, w3, i1, i2, i3 = x
     total = q1 + q2 + q3 + w1 + w2 + w3 + i1 + i2 + i3
@@ -117,7 +122,7 @@ def is_finite(x):
 
 
 @inlined
-def store(out, r, x, z):
+def store(out: Table, r: int, x: Vec, z: Vec) -> None:
     """Write state and bristles to row r."""
     for j in range(9):
         out[r, j] = x[j]
@@ -126,7 +131,7 @@ def store(out, r, x, z):
 
 
 @inlined
-def store_wide(out, r, z, m):
+def store_wide(out: Table, r: int, z: Vec, m: Vec) -> None:
     """Write measured positions, links and further deflections to row r, behind what `store` writes."""
     for j in range(3):
         out[r, ROW + j] = m[j]
@@ -135,7 +140,7 @@ def store_wide(out, r, z, m):
 
 
 @inlined
-def terminals(volts, r, p):
+def terminals(volts: Table, r: int, p: Table) -> Vec:
     """Voltages [V] at the three motors' terminals for row r of the commanded ones."""
     return (
         terminal_voltage(0, volts[r][0], p),
@@ -145,7 +150,7 @@ def terminals(volts, r, p):
 
 
 @inlined
-def store_state(out, r, state, active):
+def store_state(out: Table, r: int, state: State, active: int) -> None:
     """Write a state to row r."""
     store(out, r, state.x, state.z)
     if active & WIDE:
@@ -153,7 +158,7 @@ def store_state(out, r, state, active):
 
 
 @outlined
-def run_plain(state, rows, constants, out):
+def run_plain(state: State, rows: Rows, constants: Constants, out: Table) -> int:
     """`run_voltages` for a plant that needs no stage, in a loop that has nothing else in it."""
     model, p = constants
     x, z = state.x, state.z
@@ -171,19 +176,17 @@ def run_plain(state, rows, constants, out):
 
 
 @compiled
-def run_voltages(state, rows, constants, lock, out):
-    """Run with voltages held row by row.
-
-    rows : voltages (n, 3) [V] as they reach the amplifiers, a delay of the input taken out; out (n + 1, ROW or
-    WIDE_ROW), whose row r is the state at the start of row r. Returns the first row that is not finite, or -1.
-    """
+def _arm_voltages(state: State, rows: Rows, constants: Constants, lock: Vec, out: Table) -> int:
+    """`run_voltages` of an arm whose links follow their motors."""
     if constants.model.active == 0:
         return run_plain(state, rows, constants, out)
     return held_rows(advance, state, rows, constants, lock, out)
 
 
 @merged
-def held_rows(advance, state, rows, constants, lock, out):
+def held_rows(
+    advance: Callable[..., Any], state: State, rows: Rows, constants: Constants, lock: Vec, out: Table
+) -> int:
     """`run_voltages` with a function like `advance`."""
     model, p = constants
     store_state(out, 0, state, model.active)
@@ -197,7 +200,7 @@ def held_rows(advance, state, rows, constants, lock, out):
 
 
 @inlined
-def arriving(j, u, late):
+def arriving(j: int, u: float, late: Table) -> Vec:
     """(voltage that reaches amplifier j at the start of a sample, that after the held-back part);
     u [V]: asked for in this sample, which takes the place of the oldest in `late`."""
     size = int(late[4])
@@ -210,17 +213,24 @@ def arriving(j, u, late):
 
 
 @compiled
-def run_servo(state, setpoints, loop, constants, lock, out, volts):
-    """Run under the digital servo.
-
-    setpoints (n, 3) [rad]; loop : `ServoLoop`; out (n * samples + 1, ROW or WIDE_ROW) and volts (n * samples, 3), as
-    the servo asks for them, a row a sample. Returns the first row of `out` that is not finite, or -1.
-    """
+def _arm_servo(
+    state: State, setpoints: Table, loop: ServoLoop, constants: Constants, lock: Vec, out: Table, volts: Table
+) -> int:
+    """`run_servo` of such an arm."""
     return servo_rows(advance, state, setpoints, loop, constants, lock, out, volts)
 
 
 @merged
-def servo_rows(advance, state, setpoints, loop, constants, lock, out, volts):
+def servo_rows(
+    advance: Callable[..., Any],
+    state: State,
+    setpoints: Table,
+    loop: ServoLoop,
+    constants: Constants,
+    lock: Vec,
+    out: Table,
+    volts: Table,
+) -> int:
     """`run_servo` with a function like `advance`."""
     model, p = constants
     active = model.active
@@ -259,7 +269,7 @@ def servo_rows(advance, state, setpoints, loop, constants, lock, out, volts):
 
 
 @compiled
-def servo_memory(setpoint, position, servo):
+def servo_memory(setpoint: Vec, position: Vec, servo: Table) -> Vec:
     """The memory of a servo at rest for `run_servo`, 3 * MEMORY_WIDTH numbers, without those that
     a delay holds back.
 
@@ -272,26 +282,29 @@ def servo_memory(setpoint, position, servo):
 
 
 @inlined
-def x_in_row(out, r):
+def x_in_row(out: Table, r: int) -> Vec:
     """State of the arm in a row of a run."""
     return (out[r, 0], out[r, 1], out[r, 2], out[r, 3], out[r, 4], out[r, 5], out[r, 6], out[r, 7], out[r, 8])
 
 
-@compiled
-def accelerations(out, rows, constants, lock, result):
-    """Joint accelerations [rad/s^2] at the rows of `out`, written to result (n, 3).
+@inlined
+def model_at(model: Model, p: Table, time: float) -> tuple[Any, ...]:
+    """The model at an instant [s], and the torques [N.m] that push it from outside."""
+    now, push = model.drive, STILL
+    if model.active & TIMED:
+        now, push = drive_at(time, model.drive, p), push_over(time, 0.0, p)
+    return Model(model.body, now, model.active), push
 
-    rows : the voltage that reaches the amplifiers from each row on, and their times.
-    """
+
+@compiled
+def _arm_accelerations(out: Table, rows: Rows, constants: Constants, lock: Vec, result: Table) -> None:
+    """`accelerations` of such an arm."""
     model, p = constants
     active = model.active
     for r in range(len(result)):
         x = x_in_row(out, r)
         v = terminals(rows.voltage, r, p)
-        now, push = model.drive, STILL
-        if active & TIMED:
-            now, push = drive_at(rows.time[r], model.drive, p), push_over(rows.time[r], 0.0, p)
-        at = Model(model.body, now, active)
+        at, push = model_at(model, p, rows.time[r])
         if active & ALGEBRAIC:
             x = settled_state(x, v, at, p)
         slip = (0.0, 0.0, 0.0, -push[0], -push[1], -push[2])
@@ -304,3 +317,95 @@ def accelerations(out, rows, constants, lock, result):
         a = derivative(x, v, at, p, held, slip, bend)
         for j in range(3):
             result[r, j] = a[3 + j]
+
+
+@inlined
+def train_advance(state: State, v: Vec, t: float, h: float, n: int, model: Model, p: Table, lock: Vec) -> State:
+    """`advance` with drive trains."""
+    x, z, m = state
+    active = model.active
+    for k in range(n):
+        now, push = model, STILL
+        if active & TIMED:
+            now = Model(model.body, drive_at(t + (k + 0.5) * h, model.drive, p), active)
+            push = push_over(t + k * h, h, p)
+        y, z = train_step(x, z, v, h, now, p, lock, push)
+        if active & SENSED:
+            m = measured_after(m, x, y, h, p)
+        x = y
+    return State(x, z, m)
+
+
+@compiled
+def _train_voltages(state: State, rows: Rows, constants: Constants, lock: Vec, out: Table) -> int:
+    return held_rows(train_advance, state, rows, constants, lock, out)
+
+
+@compiled
+def _train_servo(
+    state: State, setpoints: Table, loop: ServoLoop, constants: Constants, lock: Vec, out: Table, volts: Table
+) -> int:
+    return servo_rows(train_advance, state, setpoints, loop, constants, lock, out, volts)
+
+
+@compiled
+def _train_accelerations(out: Table, rows: Rows, constants: Constants, lock: Vec, result: Table) -> None:
+    model, p = constants
+    for r in range(len(result)):
+        now, push = model_at(model, p, rows.time[r])
+        a = train_rates(x_in_row(out, r), z_in_row(out, r), terminals(rows.voltage, r, p), now, p, lock, push)
+        for j in range(3):
+            result[r, j] = a[3 + j]
+
+
+@compiled
+def _settled(x: Vec, time: float, constants: Constants, stiff: Table, lock: Vec) -> Vec:
+    model, p = constants
+    now, push = model_at(model, p, time)
+    return settled_links(x, now, p, stiff, lock, push)
+
+
+def links_at(x: tuple[float, ...], time: float, constants: Constants, lock: tuple[float, ...]) -> tuple[float, ...]:
+    """Positions [rad] and velocities [rad/s] of links that follow their motors without swinging.
+
+    x : state of the motors, nine numbers; time [s]. A soft joint is twisted by the torque that its
+    link takes when it moves with the motor, and backlash lies on the side of that torque.
+    """
+    if not constants.active & TWO_MASS:
+        return tuple(x[:6])
+    stiff = constants.table.copy()
+    for train in interpreted(trains)(stiff):
+        stiff[train] = 0.0
+    return tuple(_settled(tuple(x), float(time), constants, stiff, lock))
+
+
+def run_voltages(state: State, rows: Rows, constants: Constants, lock: tuple[float, ...], out: Any) -> int:
+    """Run with voltages held row by row.
+
+    rows : voltages (n, 3) [V] as they reach the amplifiers, a delay of the input taken out; out (n + 1, ROW or
+    WIDE_ROW), whose row r is the state at the start of row r. Returns the first row that is not finite, or -1.
+    """
+    run: Callable[..., int] = _train_voltages if constants.active & TWO_MASS else _arm_voltages
+    return run(state, rows, constants, lock, out)
+
+
+def run_servo(
+    state: State, setpoints: Any, loop: ServoLoop, constants: Constants, lock: tuple[float, ...], out: Any, volts: Any
+) -> int:
+    """Run under the digital servo.
+
+    setpoints (n, 3) [rad]; loop : `ServoLoop`; out (n * samples + 1, ROW or WIDE_ROW) and volts (n * samples, 3), as
+    the servo asks for them, a row a sample. Returns the first row of `out` that is not finite, or -1.
+    """
+    run: Callable[..., int] = _train_servo if constants.active & TWO_MASS else _arm_servo
+    return run(state, setpoints, loop, constants, lock, out, volts)
+
+
+def accelerations(out: Any, rows: Rows, constants: Constants, lock: tuple[float, ...], result: Any) -> None:
+    """Joint accelerations [rad/s^2] at the rows of `out`, written to result (n, 3): those of the motors over their gear
+    ratios where joints are soft.
+
+    rows : the voltage that reaches the amplifiers from each row on, and their times.
+    """
+    run: Callable[..., None] = _train_accelerations if constants.active & TWO_MASS else _arm_accelerations
+    run(out, rows, constants, lock, result)

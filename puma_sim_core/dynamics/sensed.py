@@ -16,11 +16,11 @@ import numpy as np
 
 from puma_sim_core.dynamics.laws import combined, sensor_error, sensor_offset, sensor_slope, sensor_time
 from puma_sim_core.effects.base import Point
-from puma_sim_core.jit import inlined, interpreted
+from puma_sim_core.jit import Table, Vec, inlined, interpreted
 
 
 @inlined
-def lagged_position(T, before, u0, u1, d0, d1, step):
+def lagged_position(T: float, before: float, u0: float, u1: float, d0: float, d1: float, step: float) -> float:
     """Position [rad] behind a lag of T [s] at the end of a step, `before` at its start.
 
     u0, u1 : what the sensor gives at start and end once it has settled; d0, d1 : its rates. The exact solution for
@@ -37,7 +37,7 @@ def lagged_position(T, before, u0, u1, d0, d1, step):
 
 
 @inlined
-def measured_joint(j, before, q0, w0, q1, w1, step, p):
+def measured_joint(j: int, before: float, q0: float, w0: float, q1: float, w1: float, step: float, p: Table) -> float:
     """Measured position [rad] of joint j after a step [s] from (q0, w0) to (q1, w1)."""
     return lagged_position(
         sensor_time(j, p),
@@ -51,7 +51,7 @@ def measured_joint(j, before, q0, w0, q1, w1, step, p):
 
 
 @inlined
-def measured_after(m, x, y, step, p):
+def measured_after(m: Vec, x: Vec, y: Vec, step: float, p: Table) -> Vec:
     """Measured positions [rad] after a step [s] from state x to state y; m : before it."""
     return (
         measured_joint(0, m[0], x[0], x[3], y[0], y[3], step, p),
@@ -71,7 +71,9 @@ def settled_positions(position: Sequence[float], table: Sequence[float]) -> tupl
     return tuple(float(float(q) + _offset(j, table) + _error(j, float(q), table)) for j, q in enumerate(position))
 
 
-def true_motion(measured, velocity, acceleration, table: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+def true_motion(
+    measured: Table, velocity: Table, acceleration: Table, table: Sequence[float]
+) -> tuple[np.ndarray, np.ndarray]:
     """True position (3) [rad] and velocity (3) [rad/s] behind a measured motion.
 
     measured [rad], velocity [rad/s], acceleration [rad/s^2] : (3) of the measured position. The

@@ -2,7 +2,7 @@
 # Copyright the puma-sim contributors
 """The torques of the effects at the joints, from the laws of the registry.
 
-Scalar code as in `kernel`, whose arguments these are. Smooth torques depend on position and
+The arguments are those of `types`. Smooth torques depend on position and
 velocity; dry friction is a level, of which a part stays the same over a step, a part falls with
 the speed and a part depends on the pose; and it may act through a bristle.
 """
@@ -29,19 +29,21 @@ from puma_sim_core.dynamics.laws import (
     loaded_torque,
     motor_torque,
     pose_level,
+    push_torque,
     speed_level,
 )
-from puma_sim_core.jit import inlined, outlined
+from puma_sim_core.dynamics.types import Model
+from puma_sim_core.jit import Table, Vec, inlined, outlined
 
 
 @inlined
-def smooth_torque(j, q, qd, p):
+def smooth_torque(j: int, q: float, qd: float, p: Table) -> float:
     """Torque [N.m] of joint j's smooth effects, positive against positive motion."""
     return link_torque(j, q, qd, p) + motor_torque(j, q, qd, p)
 
 
 @inlined
-def sliding_level(j, direction, q, gravity, torque, speed, p):
+def sliding_level(j: int, direction: float, q: float, gravity: float, torque: float, speed: float, p: Table) -> float:
     """All dry friction [N.m] of joint j when it slides in `direction` at `speed` >= 0 [rad/s] in
     a pose, as `pose_level` takes it."""
     level = constant_level(j, direction, p)
@@ -50,7 +52,7 @@ def sliding_level(j, direction, q, gravity, torque, speed, p):
 
 
 @inlined
-def inverse_torque(j, sign, q, gravity, torque, speed, p):
+def inverse_torque(j: int, sign: float, q: float, gravity: float, torque: float, speed: float, p: Table) -> float:
     """Torque [N.m] that joint j's motor gives, after viscous friction, where a motion takes
     `torque` beside dry friction; sign : of its velocity, -1..1."""
     direction = 1.0 if sign > 0.0 else -1.0
@@ -59,7 +61,7 @@ def inverse_torque(j, sign, q, gravity, torque, speed, p):
 
 
 @inlined
-def has_dry(j, p):
+def has_dry(j: int, p: Table) -> bool:
     """Whether joint j has dry friction, in one direction and in one pose at least."""
     return (
         constant_level(j, 1.0, p) > 0.0
@@ -70,13 +72,13 @@ def has_dry(j, p):
 
 
 @inlined
-def has_bristle(j, p):
+def has_bristle(j: int, p: Table) -> bool:
     """Whether joint j's dry friction acts through a bristle."""
     return bristle_stiffness(j, p) > 0.0
 
 
 @inlined
-def bristle_level(j, q, gravity, torque, qd, p):
+def bristle_level(j: int, q: float, gravity: float, torque: float, qd: float, p: Table) -> float:
     """Dry friction [N.m] that bounds joint j's bristle at velocity qd; 0.0 without a bristle."""
     if not has_bristle(j, p):
         return 0.0
@@ -84,7 +86,7 @@ def bristle_level(j, q, gravity, torque, qd, p):
 
 
 @inlined
-def bristle_flow(deflection, travel, yield_deflection):
+def bristle_flow(deflection: float, travel: float, yield_deflection: float) -> float:
     """Deflection [rad] of a bristle after the joint has moved by `travel` [rad] (Dahl 1968).
 
     The exact solution of z' = qd - |qd| z / zs at constant velocity. It never leaves [-zs, zs], however stiff the
@@ -101,7 +103,7 @@ def bristle_flow(deflection, travel, yield_deflection):
 
 
 @inlined
-def bristle_step(j, z, travel, level, p):
+def bristle_step(j: int, z: float, travel: float, level: float, p: Table) -> Vec:
     """Deflection [rad] of joint j's bristle after `travel` [rad], and its torque [N.m]."""
     stiffness = bristle_stiffness(j, p)
     if stiffness == 0.0:
@@ -111,7 +113,7 @@ def bristle_step(j, z, travel, level, p):
 
 
 @inlined
-def gravity_torques(trig, body):
+def gravity_torques(trig: Vec, body: Table) -> Vec:
     """Gravity torques [N.m] of joints 2 and 3 on a level base; joint 1 has none."""
     s2, c2, su, cu = trig
     G3 = body[16] * cu + body[17] * su
@@ -119,19 +121,19 @@ def gravity_torques(trig, body):
 
 
 @inlined
-def smooth_torques(x, p):
+def smooth_torques(x: Vec, p: Table) -> Vec:
     """`smooth_torque` of the three joints."""
     return smooth_torque(0, x[0], x[3], p), smooth_torque(1, x[1], x[4], p), smooth_torque(2, x[2], x[5], p)
 
 
 @outlined
-def tilted_torques(q1, trig, body, p):
+def tilted_torques(q1: float, trig: Vec, body: Table, p: Table) -> Vec:
     """Torques [N.m] of effects of the whole arm that depend on the pose, against positive motion."""
     return arm_torques(0, WIDTH, q1, trig, body, p)
 
 
 @inlined
-def effect_torques(x, t, trig, model, p, slip, bend):
+def effect_torques(x: Vec, t: Vec, trig: Vec, model: Model, p: Table, slip: Vec, bend: Vec) -> Vec:
     """Torques at the joints [N.m] less what the active effects take.
 
     x : positions and velocities, what stands behind them is not read; t : what the motors give after viscous friction
@@ -172,7 +174,7 @@ def effect_torques(x, t, trig, model, p, slip, bend):
 
 
 @inlined
-def bristle_levels(x, motors, trig, model, p):
+def bristle_levels(x: Vec, motors: Vec, trig: Vec, model: Model, p: Table) -> Vec:
     """`bristle_level` of the three joints; motors : what they give after viscous friction [N.m]."""
     body = model.body
     G2, G3 = gravity_torques(trig, body)
@@ -185,3 +187,10 @@ def bristle_levels(x, motors, trig, model, p):
 
 #: (z, t1, t2, t3, level, p) -> deflections after travels t1, t2, t3 [rad], and their torques [N.m]
 bristle_torques = deflection_torques(bristle_step)
+
+
+@inlined
+def push_over(time: float, step: float, p: Table) -> Vec:
+    """Torques [N.m] from outside in the direction of +q: the mean from `time` to `time` + `step`
+    [s], or the value at an instant for step 0."""
+    return (push_torque(0, time, step, p), push_torque(1, time, step, p), push_torque(2, time, step, p))

@@ -43,7 +43,7 @@ from puma_sim_core.dynamics.laws import (
     with_links,
 )
 from puma_sim_core.dynamics.rigid import library_trigonometry, remove_rows, rigid_body, solve
-from puma_sim_core.dynamics.rk4 import System, build_step
+from puma_sim_core.dynamics.rk4 import build_step, sums_of
 from puma_sim_core.dynamics.torques import bristle_torques, effect_torques
 from puma_sim_core.dynamics.types import NO_SLIP, STILL, Model
 from puma_sim_core.effects.shared.drive_train import (
@@ -54,7 +54,7 @@ from puma_sim_core.effects.shared.drive_train import (
     transmitted,
     twist_under,
 )
-from puma_sim_core.jit import inlined, interpreted, outlined
+from puma_sim_core.jit import Table, Vec, inlined, interpreted, outlined
 
 #: trig of a pose that nothing asks for
 NO_POSE = (0.0, 1.0, 0.0, 1.0)
@@ -71,13 +71,13 @@ def trains(p: Any) -> tuple[int, int, int]:
 
 
 @inlined
-def steps_within(h, p):
+def steps_within(h: float, p: Table) -> int:
     """Steps that a step of h seconds is divided into, so that the drive trains are followed."""
     return int(h * p[len(p) - 1] * (1.0 - 1e-9)) + 1
 
 
 @inlined
-def link_motion(k, q, w, ql, wl, p):
+def link_motion(k: int, q: float, w: float, ql: float, wl: float, p: Table) -> Vec:
     """Position and velocity of a link: of its own if the joint is soft, else made by the motor."""
     if is_soft(p, k):
         return ql, wl
@@ -86,7 +86,7 @@ def link_motion(k, q, w, ql, wl, p):
 
 
 @inlined
-def link_motions(x, s, p):
+def link_motions(x: Vec, s: Vec, p: Table) -> Vec:
     """`link_motion` of the three links, positions and then velocities; s : those of soft joints."""
     k1, k2, k3 = trains(p)
     u1, s1 = link_motion(k1, x[0], x[3], s[0], s[3], p)
@@ -96,7 +96,7 @@ def link_motions(x, s, p):
 
 
 @inlined
-def coupling(k, q, w, ql, wl, p):
+def coupling(k: int, q: float, w: float, ql: float, wl: float, p: Table) -> Vec:
     """(tau, u', factor, excess) of a joint.
 
     tau : torque [N.m] that a soft joint transmits; u' : ratio of the gear; the link's acceleration
@@ -109,7 +109,7 @@ def coupling(k, q, w, ql, wl, p):
 
 
 @inlined
-def rotor_torques(x, model, p, slip, bend):
+def rotor_torques(x: Vec, model: Model, p: Table, slip: Vec, bend: Vec) -> Vec:
     """Torques [N.m] of the motors less friction and what else acts on the rotors."""
     q1, q2, q3, w1, w2, w3, i1, i2, i3 = x
     body, drive, active = model
@@ -127,7 +127,7 @@ def rotor_torques(x, model, p, slip, bend):
 
 
 @inlined
-def link_torques(s, t, trig, push, model, p):
+def link_torques(s: Vec, t: Vec, trig: Vec, push: Vec, model: Model, p: Table) -> Vec:
     """Torques [N.m] on the links with what stops, springs and the outside do; t : those of the joints."""
     body, drive, active = model
     t1, t2, t3 = t[0] + push[0], t[1] + push[1], t[2] + push[2]
@@ -141,7 +141,7 @@ def link_torques(s, t, trig, push, model, p):
 
 
 @inlined
-def rotor_row(k, m, b, factor, torque, p):
+def rotor_row(k: int, m: float, b: float, factor: float, torque: float, p: Table) -> Vec:
     """Diagonal and right-hand side of a rigid joint's row, with its rotor in it."""
     if is_soft(p, k):
         return m, b
@@ -149,7 +149,7 @@ def rotor_row(k, m, b, factor, torque, p):
 
 
 @outlined
-def link_system(x, s, v, model, p, slip, bend):
+def link_system(x: Vec, s: Vec, v: Vec, model: Model, p: Table, slip: Vec, bend: Vec) -> tuple[Any, ...]:
     """M and b of the rows of the links, and the torques [N.m] that accelerate soft rotors.
 
     The unknowns are accelerations: of the link where the joint is soft, of the motor where it is
@@ -174,7 +174,7 @@ def link_system(x, s, v, model, p, slip, bend):
 
 
 @inlined
-def rigid_lock(lock, p):
+def rigid_lock(lock: Vec, p: Table) -> Vec:
     """The lock without its soft joints: it holds their rotors, not their links."""
     k1, k2, k3 = trains(p)
     l1, l2, l3, a1, a2, a3 = lock
@@ -182,7 +182,7 @@ def rigid_lock(lock, p):
 
 
 @inlined
-def rotor_acceleration(k, own, torque, locked, given, p):
+def rotor_acceleration(k: int, own: float, torque: float, locked: float, given: float, p: Table) -> Vec:
     """(acceleration of the rotor, of the soft link) [rad/s^2]; own : solution of the row."""
     if not is_soft(p, k):
         return own, 0.0
@@ -190,7 +190,7 @@ def rotor_acceleration(k, own, torque, locked, given, p):
 
 
 @outlined
-def rates(y, v, model, p, lock, slip, bend):
+def rates(y: Vec, v: Vec, model: Model, p: Table, lock: Vec, slip: Vec, bend: Vec) -> Vec:
     """Derivative of (q, qd, i, ql, qdl), fifteen numbers; zero for the links of rigid joints."""
     _body, _drive, _active = model
     k1, k2, k3 = trains(p)
@@ -205,51 +205,17 @@ def rates(y, v, model, p, lock, slip, bend):
     return y[3], y[4], y[5], a1, a2, a3, e1, e2, e3, y[12], y[13], y[14], d1, d2, d3
 
 
-@outlined
-def moved(y, h, k):
-    """y + h k, fifteen numbers."""
-    return (
-        y[0] + h * k[0],
-        y[1] + h * k[1],
-        y[2] + h * k[2],
-        y[3] + h * k[3],
-        y[4] + h * k[4],
-        y[5] + h * k[5],
-        y[6] + h * k[6],
-        y[7] + h * k[7],
-        y[8] + h * k[8],
-        y[9] + h * k[9],
-        y[10] + h * k[10],
-        y[11] + h * k[11],
-        y[12] + h * k[12],
-        y[13] + h * k[13],
-        y[14] + h * k[14],
-    )
-
-
 @inlined
-def weighted(a, b, c, d):
-    """Sum a + 2 (b + c) + d of four rates, fifteen numbers."""
-    return moved(moved(a, 1.0, d), 2.0, moved(b, 1.0, c))
-
-
-@inlined
-def with_links_behind(x, z):
+def with_links_behind(x: Vec, z: Vec) -> Vec:
     """(q, qd, i, ql, qdl), fifteen numbers."""
     return (x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8], z[3], z[4], z[5], z[6], z[7], z[8])
 
 
-@inlined
-def with_currents(y, i1, i2, i3):
-    """y with other currents [A]."""
-    return (y[0], y[1], y[2], y[3], y[4], y[5], i1, i2, i3, y[9], y[10], y[11], y[12], y[13], y[14])
-
-
-_rk4_step = build_step(System(rates, moved, weighted, with_currents, library_trigonometry))
+_rk4_step = build_step(rates, sums_of(15, "a{i} + d{i} + 2.0 * (b{i} + c{i})"), library_trigonometry)
 
 
 @outlined
-def two_mass_step(x, z, v, h, model, p, lock, slip):
+def two_mass_step(x: Vec, z: Vec, v: Vec, h: float, model: Model, p: Table, lock: Vec, slip: Vec) -> tuple[Any, ...]:
     """State and z after one Runge-Kutta step of h seconds, as `rigid.arm_step`."""
     y = with_links_behind(x, z)
     y, bent = _rk4_step(y, deflections_of(z), v, h, model, p, lock, slip)
@@ -259,7 +225,7 @@ def two_mass_step(x, z, v, h, model, p, lock, slip):
 
 
 @inlined
-def without_link(k, c, system, torque, p):
+def without_link(k: int, c: int, system: Vec, torque: float, p: Table) -> Vec:
     """The system with the link's row c of a soft joint eliminated and its rotor's in its place."""
     m11, m12, m13, m22, m23, m33, b1, b2, b3 = system
     if not is_soft(p, k):
@@ -276,7 +242,7 @@ def without_link(k, c, system, torque, p):
 
 
 @outlined
-def motor_system(x, z, v, slip, model, p):
+def motor_system(x: Vec, z: Vec, v: Vec, slip: Vec, model: Model, p: Table) -> Vec:
     """M and b of the motors alone, with friction on the sliding ones: what contacts are decided by.
 
     A soft rotor has a row without couplings; the links of soft joints, which no friction holds,
@@ -295,7 +261,7 @@ _changing_step = build_changing_step(two_mass_step, motor_contact, motor_margin)
 
 
 @outlined
-def train_step(x, z, v, h, model, p, lock, push):
+def train_step(x: Vec, z: Vec, v: Vec, h: float, model: Model, p: Table, lock: Vec, push: Vec) -> tuple[Any, ...]:
     """State and z after `h` seconds, in as many steps as the drive trains need.
 
     Arguments as `contact.contact_step`: v are the voltages, push the torques from outside.
@@ -314,7 +280,7 @@ def train_step(x, z, v, h, model, p, lock, push):
 
 
 @outlined
-def train_rates(x, z, v, model, p, lock, push):
+def train_rates(x: Vec, z: Vec, v: Vec, model: Model, p: Table, lock: Vec, push: Vec) -> Vec:
     """`rates` at a state, with the joints that stick found and the bristles bent as they are."""
     held = (v[0], v[1], v[2], push[0], push[1], push[2])
     still, slip, bend = lock, NO_SLIP, STILL
@@ -329,21 +295,21 @@ def train_rates(x, z, v, model, p, lock, push):
 
 
 @inlined
-def settled_link(k, q, w, torque, p):
+def settled_link(k: int, q: float, w: float, torque: float, p: Table) -> Vec:
     """Position [rad] and velocity [rad/s] of a link that follows its motor under `torque` [N.m]."""
     u, slope, _ = gear_output(p, k, q)
     return u - twist_under(p, k, torque) if is_soft(p, k) else u, slope * w
 
 
 @inlined
-def link_acceleration(k, q, w, a, p):
+def link_acceleration(k: int, q: float, w: float, a: float, p: Table) -> float:
     """Acceleration [rad/s^2] of a link that follows its motor."""
     _, slope, curvature = gear_output(p, k, q)
     return slope * a + curvature * w * w
 
 
 @outlined
-def settled_links(x, model, p, stiff, lock, push):
+def settled_links(x: Vec, model: Model, p: Table, stiff: Table, lock: Vec, push: Vec) -> Vec:
     """Positions and velocities of links that follow their motors without swinging, six numbers.
 
     Each joint is twisted by the torque that its link would take if no joint were soft; backlash lies

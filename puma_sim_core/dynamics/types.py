@@ -26,6 +26,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from puma_sim_core.arm.rigid_body import Lumps
+from puma_sim_core.jit import Vec
 
 
 class Drive(NamedTuple):
@@ -115,6 +116,6 @@ class ServoLoop(NamedTuple):
 
 
 #: no row is taken out; nothing slides or is pushed; nothing bends
-FREE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-NO_SLIP = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-STILL = (0.0, 0.0, 0.0)
+FREE: Vec = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+NO_SLIP: Vec = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+STILL: Vec = (0.0, 0.0, 0.0)

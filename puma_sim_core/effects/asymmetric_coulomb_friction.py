@@ -2,52 +2,40 @@
 # Copyright the puma-sim contributors
 """Dry friction with a level of its own in each direction."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from puma_sim_core.effects.base import TORQUE, Kind, Law, Parameter, Point
-from puma_sim_core.effects.screening import Candidate, Screening, Signals
-from puma_sim_core.effects.shared.columns import candidate, moves, on_joint, positive
-from puma_sim_core.effects.shared.dry_friction import MOST, direction_of, level_prior, shape_prior
-from puma_sim_core.jit import inlined
-
-if TYPE_CHECKING:
-    pass
-
+from puma_sim_core.effects.base import TORQUE, Kind, Law, Point
+from puma_sim_core.effects.screening import Candidate, Screening, Signals, Values
+from puma_sim_core.effects.shared.columns import candidate, on_joint, when_moving
+from puma_sim_core.effects.shared.dry_friction import direction_of, level, level_parameter, level_prior, shape_prior
+from puma_sim_core.jit import Table, inlined
 
 #: difference by direction as a share of the level on machines, middle and one deviation
 _DIFFERENCE = (0.0, 0.3)
 
 
 @inlined
-def asymmetric_level(p, k, direction):
+def asymmetric_level(p: Table, k: int, direction: float) -> float:
     """Level [N.m] of Coulomb friction against sliding in `direction` (+1 or -1)."""
     return p[k] if direction > 0.0 else p[k + 1]
 
 
+@when_moving
 def asymmetric_coulomb(signals: Signals, joint: int) -> list[Candidate]:
     """The positive and the negative part of sgn(qd); the coefficients are the two levels."""
-    direction = direction_of(signals, joint)
-    forth, back = np.maximum(direction, 0.0), np.minimum(direction, 0.0)
-    least = 0.02 * direction.size
-    if not moves(signals, joint) or min(np.count_nonzero(forth > 0.5), np.count_nonzero(back < -0.5)) < least:
+    scale, direction = float(signals.torque_scale[joint]), direction_of(signals, joint)
+    if min(np.count_nonzero(direction > 0.5), np.count_nonzero(direction < -0.5)) < 0.02 * direction.size:
         return []
-    scale = float(signals.torque_scale[joint])
 
-    def values(c):
-        return {
-            "positive": positive(c[0], "level for qd > 0", "N.m", MOST * scale),
-            "negative": positive(c[1], "level for qd < 0", "N.m", MOST * scale),
-        }
+    def values(c: np.ndarray) -> dict[str, float]:
+        forth, back = level(c[0], "level for qd > 0", scale), level(c[1], "level for qd < 0", scale)
+        return {"positive": forth, "negative": back}
 
-    return [candidate(on_joint(joint, forth, back), [0.5 * scale] * 2, [scale] * 2, values)]
+    columns = on_joint(joint, np.maximum(direction, 0.0), np.minimum(direction, 0.0))
+    return [candidate(columns, [0.5 * scale] * 2, [scale] * 2, values)]
 
 
-def coordinates(values: Mapping[str, float], scale: float) -> np.ndarray:
+def coordinates(values: Values, scale: float) -> np.ndarray:
     """Mean level, and half the difference by direction."""
     mean = 0.5 * (values["positive"] + values["negative"])
     half = 0.5 * (values["positive"] - values["negative"])
@@ -61,13 +49,13 @@ EFFECT = Kind(
     equation="tau = Fp for qd > 0, -Fn for qd < 0; at rest any torque from -Fn to Fp is held",
     sentence="Dry friction with a level of its own in each direction, as real PUMA drives have.",
     parameters=(
-        Parameter("positive", "N.m", 0.0, 500.0, "Fp, level for qd > 0", plausible=(0.4, 40.0)),
-        Parameter("negative", "N.m", 0.0, 500.0, "Fn, level for qd < 0, as a magnitude", plausible=(0.4, 40.0)),
+        level_parameter("positive", "Fp, level for qd > 0"),
+        level_parameter("negative", "Fn, level for qd < 0, as a magnitude"),
     ),
     laws=(Law(Point.LEVEL, asymmetric_level),),
     screening=Screening(
         asymmetric_coulomb,
-        excitation="Motion in both directions for about equal times, with many reversals.",
+        "Motion in both directions for about equal times, with many reversals.",
         coordinates=coordinates,
     ),
     drawn_against=("velocity",),

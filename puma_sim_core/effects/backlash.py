@@ -2,89 +2,62 @@
 # Copyright the puma-sim contributors
 """Backlash between the teeth of a gear."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
 from math import ceil
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from puma_sim_core.effects.base import ROTOR_INERTIA, TRANSMISSION, Kind, Needs, Parameter, Role, Train
-from puma_sim_core.effects.screening import VOLTAGE_COLUMN, Candidate, Screening, Signals
-from puma_sim_core.effects.shared.columns import candidate, is_arm, moves, stretches, visible
+from puma_sim_core.effects.base import RATE, ROTOR_INERTIA, SIZE, TRANSMISSION, Kind, Needs, Parameter, Train
+from puma_sim_core.effects.screening import VOLTAGE_COLUMN, ByJoint, Candidate, Screening, Signals
+from puma_sim_core.effects.shared.columns import candidate, is_arm, of_travel, stretches, visible, when_moving
 from puma_sim_core.effects.shared.drive_train import MOTOR_SHARE, beginning, link_side, on_links
-from puma_sim_core.jit import compiled
-
-if TYPE_CHECKING:
-    pass
+from puma_sim_core.jit import Table, compiled
 
 #: gaps [rad]
 _GAPS = np.geomspace(1.5e-4, 4e-3, 13)
-
 #: stiffness and damping of teeth in contact on the arm, in the screening and as the default of a simulated effect; the
 #: priors of the parameters, which a fit goes by, are those of machines
-_CONTACT_STIFFNESS, _CONTACT_DAMPING = 2e5, 100.0
-
-#: least share of critical damping of the contact. The rotor recoils from an impact, and back-EMF
-#: damps it, faster than the filtered motion shows: with the damping of the teeth alone the
-#: simulated link would bounce where the real one does not.
+_STIFFNESS, _DAMPING = 2e5, 100.0
+#: least share of critical damping of the contact. The rotor recoils from an impact, and back-EMF damps it, faster than
+#: the filtered motion shows: with the damping of the teeth alone the simulated link would bounce
 _LEAST_DAMPING = 0.8
 
 
+@when_moving
 def backlash(signals: Signals, joint: int) -> list[Candidate]:
-    """Torque through teeth with backlash less that through a rigid joint, with coefficient 1, for a
-    grid of the gap."""
-    if not moves(signals, joint):
-        return []
-    inertia, torque = link_side(signals, joint)
-    stiffness, damping, gaps = _CONTACT_STIFFNESS, _CONTACT_DAMPING, _GAPS
+    """Torque through teeth with backlash less that through a rigid joint, with coefficient 1, for a grid of the gap."""
+    contact = {"stiffness": _STIFFNESS, "damping": _DAMPING}
     if not is_arm(signals):
-        mean = float(inertia.mean())
-        stiffness = mean * (2.0 * np.pi * 60.0) ** 2
-        damping = 0.3 * float(np.sqrt(stiffness * mean))
-        gaps = gaps * min(1.0, float(np.ptp(signals.position[:, joint])))
-    contact = {"stiffness": float(stiffness), "damping": float(damping)}
-    found = []
-    for gap in gaps:
+        inertia = float(link_side(signals, joint)[0].mean())
+        stiffness = float(inertia * (2.0 * np.pi * 60.0) ** 2)
+        contact = {"stiffness": stiffness, "damping": float(0.3 * float(np.sqrt(stiffness * inertia)))}
 
-        def values(c, gap=float(gap)):
-            return {"gap": gap, **contact}
+    def at(gap: float) -> Candidate:
+        column = _cost(signals, joint, gap, **contact)
+        grid = {"gap": gap}
+        return candidate([column], [1.0], [0.15], lambda c, **grid: grid | contact, grid, VOLTAGE_COLUMN, fixed=True)
 
-        passed = tooth_torque(signals, torque, inertia, float(gap), stiffness, damping)
-        column = on_links(signals, joint, passed - torque, inertia)
-        if visible((column,)):
-            found.append(candidate([column], [1.0], [0.15], values, {"gap": float(gap)}, VOLTAGE_COLUMN, fixed=True))
-    return found
+    return visible(map(at, (_GAPS * of_travel(signals, joint)).tolist()))
 
 
-def tooth_torque(signals: Signals, torque, inertia, gap: float, stiffness: float, damping: float):
-    """Torque (n,) [N.m] through teeth with a backlash of `gap` under the measured motion of the rotor,
-    averaged over a sample: an impact is shorter than one.
-
-    The damping is at least 0.8 of the critical one of the link: filtered, the rotor's motion has
-    lost what keeps the real link from bouncing.
-    """
+def _cost(signals: Signals, joint: int, gap: float, stiffness: float, damping: float) -> ByJoint:
+    """Voltages of the torque through teeth less that through a rigid joint, under the measured motion of the rotor,
+    averaged over a sample: an impact is shorter than one."""
+    inertia, rigid = link_side(signals, joint)
     damping = max(damping, float(2.0 * _LEAST_DAMPING * np.sqrt(stiffness * inertia.mean())))
     fastest = float(np.sqrt(stiffness / inertia.min()))
     parts = max(int(ceil(signals.step * fastest / 0.12)), 1)
-    out = np.empty_like(torque)
+    passed = np.empty_like(rigid)
     for part in stretches(signals):
-        out[part] = _knock(
-            np.ascontiguousarray(torque[part]),
-            np.ascontiguousarray(inertia[part]),
-            signals.step / parts,
-            parts,
-            0.5 * gap,
-            stiffness,
-            damping,
-            beginning(signals, torque[part]),
-        )
-    return out
+        asked, mass = np.ascontiguousarray(rigid[part]), np.ascontiguousarray(inertia[part])
+        begins, substep = beginning(signals, asked), signals.step / parts
+        passed[part] = _knock(asked, mass, substep, parts, 0.5 * gap, stiffness, damping, begins)
+    return on_links(signals, joint, passed - rigid, inertia)
 
 
 @compiled
-def _knock(torque, inertia, step, parts, half, stiffness, damping, begins):
+def _knock(
+    torque: Table, inertia: Table, step: float, parts: int, half: float, stiffness: float, damping: float, begins: float
+) -> Table:
     """Torque (n,) of the teeth, each value the mean over the two half intervals about it."""
     out = torque.copy()
     twist = begins / stiffness + (half if begins > 0.0 else -half)
@@ -109,20 +82,6 @@ def _knock(torque, inertia, step, parts, half, stiffness, damping, begins):
     return out
 
 
-def known_voltage(
-    signals: Signals, joint: int, values: Mapping[str, float], torque: np.ndarray
-) -> dict[int, np.ndarray]:
-    """Voltage [V] that the backlash makes along a measured motion."""
-    inertia, rigid = link_side(signals, joint)
-    passed = tooth_torque(signals, rigid, inertia, values["gap"], values["stiffness"], values["damping"])
-    return on_links(signals, joint, passed - rigid, inertia)
-
-
-def train(values: Mapping[str, float]) -> Train:
-    """A spring with backlash between rotor and link."""
-    return Train((values["stiffness"], values["damping"]), values["gap"], values["motor_share"])
-
-
 EFFECT = Kind(
     name="backlash",
     order=190,
@@ -132,36 +91,23 @@ EFFECT = Kind(
     sentence="Backlash between the teeth: the link is free while they change flanks, and a short impact ends it.",
     parameters=(
         Parameter(
-            "gap",
-            "rad",
-            0.0,
-            0.2,
-            "g, the whole backlash at the joint",
-            plausible=(5e-5, 5e-3),
-            softened_by="stiffness",
+            "gap", "rad", 0.0, 0.2, "g, the whole backlash at the joint", SIZE, (5e-5, 5e-3), softened_by="stiffness"
         ),
         Parameter(
-            "stiffness",
-            "N.m/rad",
-            100.0,
-            1e7,
-            "K of the teeth in contact",
-            default=2e5,
-            role=Role.RATE,
-            prior=(5e5, 2.5),
-            logarithmic=True,
+            "stiffness", "N.m/rad", 100.0, 1e7, "K of the teeth in contact", RATE, default=_STIFFNESS, prior=(5e5, 2.5)
         ),
-        Parameter("damping", "N.m.s/rad", 0.0, 1000.0, "B of the teeth in contact", default=100.0, prior=(150.0, 2.5)),
+        Parameter(
+            "damping", "N.m.s/rad", 0.0, 1000.0, "B of the teeth in contact", default=_DAMPING, prior=(150.0, 2.5)
+        ),
         MOTOR_SHARE,
     ),
-    train=train,
+    train=lambda v: Train((v["stiffness"], v["damping"]), v["gap"], v["motor_share"]),
     vanishes=lambda values: values["gap"] == 0.0,
     needs=Needs(ROTOR_INERTIA, "a rotor that can move against its link"),
-    known_voltage=known_voltage,
+    known_voltage=lambda signals, joint, v, _: _cost(signals, joint, v["gap"], v["stiffness"], v["damping"]),
     screening=Screening(
         backlash,
-        excitation="Changes of sign of the torque at the link: bang-bang on joint 1, upright or "
-        "hanging links on joints 2 and 3.",
+        "Changes of sign of the torque at the link: bang-bang on joint 1, upright or hanging links on joints 2 and 3.",
         unseen=(("gap", 2e-4), ("stiffness", 5e5), ("damping", 150.0)),
         fast=True,
     ),

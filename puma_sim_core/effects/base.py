@@ -25,29 +25,23 @@ j = 0, 1, 2 begin at ``j * WIDTH + place``. A table without an effect holds its 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import KW_ONLY, dataclass, field
 from enum import Enum, IntFlag
-from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from puma_sim_core.checks import is_number
 from puma_sim_core.errors import ParameterError
 
 if TYPE_CHECKING:
     import numpy as np
 
     from puma_sim_core.arm.arm import ArmParameters
-    from puma_sim_core.effects.screening import Screening, Signals
+    from puma_sim_core.effects.screening import ByJoint, Screening, Signals, Values
 
 #: where an effect acts
-VOLTAGE, CURRENT, TORQUE, TRANSMISSION, LOAD, SENSING = (
-    "voltage",
-    "current",
-    "torque",
-    "transmission",
-    "load",
-    "sensing",
-)
+VOLTAGE, CURRENT, TORQUE = "voltage", "current", "torque"
+TRANSMISSION, LOAD, SENSING = "transmission", "load", "sensing"
 
 
 class Stage(IntFlag):
@@ -74,57 +68,41 @@ class Stage(IntFlag):
 class Point(Enum):
     """Where a law acts: (arguments behind p and k, how several laws are combined, stage).
 
-    p is the packed table and k the place of the effect's first parameter in it. Units: rad, rad/s, N.m at the joint,
-    V, A, s. "sum" adds, "product" multiplies, "chain" passes the last argument on from law to law, "any" is true
-    where one law is.
+    p is the packed table and k the place of the effect's first parameter in it. Units: rad, rad/s, N.m at the joint, V,
+    A, s. "chain" passes the last argument on from law to law, "any" is true where one law is.
     """
 
-    #: voltage behind the amplifier's losses, for the one before
-    TERMINAL = ("v", "chain", Stage.ALWAYS)
-    #: voltage that the supply can give, for the one before; behind TERMINAL
-    SUPPLY = ("v", "chain", Stage.ALWAYS)
+    TERMINAL = ("v", "chain", Stage.ALWAYS)  #: voltage behind the amplifier's losses, for the one before
+    SUPPLY = ("v", "chain", Stage.ALWAYS)  #: voltage that the supply can give, for the one before; behind TERMINAL
     #: share of the supply that is left under the currents of all motors; of the whole arm
     SUPPLY_SHARE = ("i1, i2, i3", "product", Stage.DROOP)
-    #: rate of a motor's current, for the one before
-    CURRENT_RATE = ("i, rate", "chain", Stage.CURRENT_LIMIT)
-    #: current within its bound, for the one before
-    CURRENT = ("i", "chain", Stage.CURRENT_LIMIT)
-    #: greatest current; the least of all holds
-    CURRENT_BOUND = ("", "least", Stage.CURRENT_LIMIT)
-    #: torque on the motor or its gear, positive against positive motion
-    MOTOR_TORQUE = ("q, qd", "sum", Stage.SMOOTH)
+    CURRENT_RATE = ("i, rate", "chain", Stage.CURRENT_LIMIT)  #: rate of a motor's current, for the one before
+    CURRENT = ("i", "chain", Stage.CURRENT_LIMIT)  #: current within its bound, for the one before
+    CURRENT_BOUND = ("", "least", Stage.CURRENT_LIMIT)  #: greatest current; the least of all holds
+    MOTOR_TORQUE = ("q, qd", "sum", Stage.SMOOTH)  #: torque on the motor or its gear, positive against positive motion
     #: torque on the link, behind the gear, positive against positive motion
     LINK_TORQUE = ("q, qd", "sum", Stage.SMOOTH)
     #: dry friction that depends on nothing but the direction (+1, -1) of sliding
     LEVEL = ("direction", "sum", Stage.DRY)
-    #: dry friction that depends on the speed (>= 0)
-    SPEED_LEVEL = ("speed", "sum", Stage.DRY | Stage.VARYING)
+    SPEED_LEVEL = ("speed", "sum", Stage.DRY | Stage.VARYING)  #: dry friction that depends on the speed (>= 0)
     #: dry friction that depends on position, gravity's torque, and the motor's after viscous friction
     POSE_LEVEL = ("q, gravity, torque", "sum", Stage.DRY | Stage.POSED)
-    #: whether there is any dry friction of the point above
-    HAS_POSE_LEVEL = ("", "any", Stage.DRY | Stage.POSED)
+    HAS_POSE_LEVEL = ("", "any", Stage.DRY | Stage.POSED)  #: whether there is any dry friction of the point above
     #: torque that the motor gives where a motion takes `torque` without the pose's friction; sign of the velocity
     LOADED_TORQUE = ("gravity, sign, torque", "chain", Stage.DRY | Stage.POSED)
     #: stiffness of the bristle that a joint's dry friction acts through [N.m/rad]
     BRISTLE_STIFFNESS = ("", "sum", Stage.BRISTLE)
     #: torques on all three joints: (width of a joint's table, q1, trig, body) -> triple; of the whole arm
     ARM_TORQUE = ("width, q1, trig, body", "triple", Stage.TILT)
-    #: factor of the winding's resistance at a time
-    RESISTANCE_FACTOR = ("time", "product", Stage.TIMED)
-    #: factor of viscous friction at a time
-    VISCOUS_FACTOR = ("time", "product", Stage.TIMED)
+    RESISTANCE_FACTOR = ("time", "product", Stage.TIMED)  #: factor of the winding's resistance at a time
+    VISCOUS_FACTOR = ("time", "product", Stage.TIMED)  #: factor of viscous friction at a time
     #: torque from outside in the direction of +q: mean from `time` on over `step`, the value for step 0
     PUSH = ("time, step", "sum", Stage.TIMED)
-    #: constant that the sensor adds to the position
-    SENSOR_OFFSET = ("", "sum", Stage.SENSED)
-    #: what else the sensor adds to the position
-    SENSOR_ERROR = ("q", "sum", Stage.SENSED)
-    #: what the sensor adds to a unit of velocity
-    SENSOR_SLOPE = ("q", "sum", Stage.SENSED)
-    #: time constant of the sensor
-    SENSOR_LAG = ("", "sum", Stage.SENSED)
-    #: time by which voltages reach the motors late; of the whole arm
-    DELAY = ("", "sum", Stage.DELAYED)
+    SENSOR_OFFSET = ("", "sum", Stage.SENSED)  #: constant that the sensor adds to the position
+    SENSOR_ERROR = ("q", "sum", Stage.SENSED)  #: what else the sensor adds to the position
+    SENSOR_SLOPE = ("q", "sum", Stage.SENSED)  #: what the sensor adds to a unit of velocity
+    SENSOR_LAG = ("", "sum", Stage.SENSED)  #: time constant of the sensor
+    DELAY = ("", "sum", Stage.DELAYED)  #: time by which voltages reach the motors late; of the whole arm
 
     def __init__(self, arguments: str, combined: str, stage: Stage):
         # equal values would make members aliases of one another
@@ -145,28 +123,21 @@ class Law(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """A deflection [rad] of a joint that follows its travel, and its torque.
+    """A deflection [rad] of a joint that follows its travel, and its torque."""
 
-    follow : (p, k, deflection, travel) -> deflection after the joint has moved by `travel` [rad], exact for a
-        constant velocity; torque : (p, k, deflection) -> torque [N.m], positive against positive motion.
-    """
-
+    #: (p, k, deflection, travel) -> deflection after a travel [rad], exact for a constant velocity
     follow: Callable[..., Any]
+    #: (p, k, deflection) -> torque [N.m], positive against positive motion
     torque: Callable[..., Any]
 
 
 class Train(NamedTuple):
-    """What an effect makes of a joint's drive train.
+    """What an effect makes of a joint's drive train."""
 
-    spring : (stiffness [N.m/rad], damping [N.m.s/rad]) in series with others, or None; gap [rad]; motor_share: part
-    of the motor's inertia that turns with the rotor; wave : (amplitude [rad], periods a turn, phase [rad]) of the
-    gear's error.
-    """
-
-    spring: tuple[float, float] | None = None
-    gap: float = 0.0
-    motor_share: float | None = None
-    wave: tuple[float, float, float] | None = None
+    spring: tuple[float, float] | None = None  #: (K [N.m/rad], B [N.m.s/rad]) in series with others
+    gap: float = 0.0  #: [rad]
+    motor_share: float | None = None  #: part of the motor's inertia that turns with the rotor
+    wave: tuple[float, float, float] | None = None  #: (amplitude [rad], periods a turn, phase) of the gear's error
 
 
 class Needs(NamedTuple):
@@ -189,20 +160,14 @@ class Role(Enum):
     STRUCTURE = "given by the construction: a fit leaves it alone"
 
 
+SIZE, RATE, PLACE, STRUCTURE = Role
+
+
 @dataclass(frozen=True)
 class Parameter:
     """One parameter of an effect: ``low <= value <= high`` in ``unit``.
 
-    neutral : the value that makes the effect vanish.
-    default : taken where the user gives no value, or ``from_arm(arm, joint)`` when the effect meets its arm; without
-        either the parameter must be given.
-    role : what it says of the effect.
-    plausible : (low, high) on a machine; beyond them it is no name.
-    prior : (median, factor of one standard deviation) where a log may tell little about it.
-    logarithmic : a fit moves its logarithm.
-    step : how far it must move to matter, or the parameter that says so; None: by unit and value.
-    inverse : more of it means less of the effect.
-    softened_by : a stiffness [N.m/rad] by which its edge is soft.
+    It must be given where it has neither a `default` nor a `from_arm`.
     """
 
     name: str
@@ -210,91 +175,78 @@ class Parameter:
     low: float
     high: float
     meaning: str
-    neutral: float = 0.0
-    default: float | None = None
-    from_arm: Callable[[ArmParameters, Any], float] | None = None
-    role: Role = Role.SIZE
-    plausible: tuple[float, float] | None = None
-    prior: tuple[float, float] | None = None
-    logarithmic: bool = False
-    step: float | str | None = None
-    inverse: bool = False
-    softened_by: str | None = None
+    role: Role = SIZE  #: what it says of the effect
+    plausible: tuple[float, float] | None = None  #: (low, high) on a machine; beyond them it is no name
+    _: KW_ONLY
+    neutral: float = 0.0  #: the value that makes the effect vanish
+    default: float | None = None  #: taken where the user gives no value
+    from_arm: Callable[[ArmParameters, Any], float] | None = None  #: (arm, joint) -> default on an arm
+    prior: tuple[float, float] | None = None  #: (median, factor of one deviation) where a log may tell little about it
+    logarithmic: bool | None = None  #: a fit moves its logarithm; None: that of a RATE above 0
+    step: float | str | None = None  #: how far it must move to matter, or the parameter that says so; None: by unit
+    inverse: bool = False  #: more of it means less of the effect
+    softened_by: str | None = None  #: a stiffness [N.m/rad] by which its edge is soft
+
+    def __post_init__(self) -> None:
+        if self.logarithmic is None:
+            object.__setattr__(self, "logarithmic", self.role is RATE and self.low > 0.0)
+
+    def checked(self, value: Any, where: str) -> float:
+        """A value within the bounds; raises ParameterError."""
+        if value is None:
+            expected = f"{self.name}=VALUE in {self.unit} ({self.meaning})"
+            raise ParameterError(f"'{self.name}' is missing", where=where, expected=expected)
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise ParameterError(f"{self.name}={value!r}", where=where, expected=f"a number in {self.unit}")
+        if not is_number(value) or not self.low <= value <= self.high:
+            expected = f"{self.low:g} to {self.high:g} {self.unit}"
+            raise ParameterError(f"{self.name}={value:g}", where=where, expected=expected)
+        return float(value)
 
 
 class LookAlike(NamedTuple):
-    """Another effect that may be mistaken for this one.
-
-    mine : what tells this effect from the other, its : what tells the other from this one.
-    """
+    """Another effect that may be mistaken for this one."""
 
     other: str
-    mine: str
-    its: str
+    mine: str  #: what tells this effect from the other
+    its: str  #: what tells the other from this one
 
 
 @dataclass(frozen=True)
 class Kind:
-    """An effect of the library; `Effect` is one with values on a joint.
+    """An effect of the library; `Effect` is one with values on a joint."""
 
-    Attributes
-    ----------
-    name : the name in code, in files and in reports; that of its file.
-    order : position in lists and reports.
-    acts : one of VOLTAGE, CURRENT, TORQUE, TRANSMISSION, LOAD, SENSING.
-    equation : the law, as text.
-    sentence : one sentence for a person, what it is and how it shows.
-    parameters : in the order of the table.
-    laws, memory : what the kernel sums.
-    per_joint : False for an effect of the whole arm; such a one carries no joint.
-    check : what the values must be together, as (values) -> text of what was expected, or None.
-    load : for LOAD, a function (arm, values) -> arm with the load attached.
-    constants : (arm, values) -> the numbers that stand in the table in place of the parameters, for ARM_TORQUE.
-    train : (values) -> what it makes of the joint's drive train.
-    stiffening : (values) -> (stiffness, damping) that a soft drive train swings against.
-    vanishes : (values) -> whether it leaves link and motor one.
-    known_voltage : (signals, joint, values, torque (n, J)) -> {joint: (n,) V}: the voltage that it makes along a
-        measured motion, where that does not follow from its laws.
-    screening : how it is found in a measured log; None where it is only simulated.
-    look_alikes, contains : what it may be mistaken for, and the special cases that it includes, for effects that
-        `relations` does not list.
-    drawn_against : signals that a report draws its residual against, the first one that there is.
-    directed : the residual is drawn times the direction of motion.
-    needs : what a mechanism must have.
-    feigned : feedback in a recording makes it out of noise.
-    repeatable : a motion can bring it about again.
-    fine : regressors need a fine step.
-    shifts_zero : its size is a wrong zero of the joint's sensor.
-    example : as on a command line.
-    """
-
-    name: str
-    acts: str
-    equation: str
-    sentence: str
-    parameters: tuple[Parameter, ...]
-    order: int = 1000
-    laws: tuple[Law, ...] = ()
+    name: str  #: in code, in files and in reports; that of its file
+    acts: str  #: one of VOLTAGE, CURRENT, TORQUE, TRANSMISSION, LOAD, SENSING
+    equation: str  #: the law, as text
+    sentence: str  #: for a person, what it is and how it shows
+    parameters: tuple[Parameter, ...]  #: in the order of the table
+    order: int = 1000  #: position in lists and reports
+    laws: tuple[Law, ...] = ()  #: what the kernel sums
     memory: Memory | None = None
-    per_joint: bool = True
-    check: Callable[[dict[str, float]], str | None] | None = None
+    per_joint: bool = True  #: False for an effect of the whole arm; such a one carries no joint
+    check: Callable[[dict[str, float]], str | None] | None = None  #: values -> what was expected of them together
+    #: (arm, values) -> arm with the load attached, for LOAD
     load: Callable[[ArmParameters, dict[str, float]], ArmParameters] | None = None
+    #: (arm, values) -> the numbers that stand in the table in place of the parameters, for ARM_TORQUE
     constants: Callable[[ArmParameters, dict[str, float]], Sequence[float]] | None = None
-    train: Callable[[dict[str, float]], Train] | None = None
+    train: Callable[[dict[str, float]], Train] | None = None  #: values -> what it makes of the joint's drive train
+    #: values -> (stiffness, damping) that a soft drive train swings against
     stiffening: Callable[[dict[str, float]], tuple[float, float]] | None = None
-    vanishes: Callable[[dict[str, float]], bool] | None = None
-    known_voltage: Callable[[Signals, int, Mapping[str, float], np.ndarray], dict[int, np.ndarray]] | None = None
-    screening: Screening | None = None
-    look_alikes: tuple[LookAlike, ...] = ()
-    contains: tuple[str, ...] = ()
-    drawn_against: tuple[str, ...] = ()
-    directed: bool = False
-    needs: Needs | None = None
-    feigned: bool = False
-    repeatable: bool = True
-    fine: bool = False
-    shifts_zero: bool = False
-    example: str = ""
+    vanishes: Callable[[dict[str, float]], bool] | None = None  #: values -> whether it leaves link and motor one
+    #: (signals, joint, values, torque (n, J)) -> voltages along a measured motion, where its laws do not give them
+    known_voltage: Callable[[Signals, int, Values, np.ndarray], ByJoint] | None = None
+    screening: Screening | None = None  #: how it is found in a measured log; None where it is only simulated
+    look_alikes: tuple[LookAlike, ...] = ()  #: what it may be mistaken for, where `relations` does not list it
+    contains: tuple[str, ...] = ()  #: its special cases, where `relations` does not list them
+    drawn_against: tuple[str, ...] = ()  #: signals to draw its residual against, the first one that there is
+    directed: bool = False  #: the residual is drawn times the direction of motion
+    needs: Needs | None = None  #: what a mechanism must have
+    feigned: bool = False  #: feedback in a recording makes it out of noise
+    repeatable: bool = True  #: a motion can bring it about again
+    fine: bool = False  #: regressors need a fine step
+    shifts_zero: bool = False  #: its size is a wrong zero of the joint's sensor
+    example: str = ""  #: as on a command line
 
     @property
     def stage(self) -> int:
@@ -302,13 +254,11 @@ class Kind:
         mask = Stage.ALWAYS
         for law in self.laws:
             mask |= law.point.stage
-        if any(law.point is Point.BRISTLE_STIFFNESS for law in self.laws):
+        if self.has_bristle:
             mask = Stage.BRISTLE  # its dry friction is part of the bristle
         if self.memory is not None:
             mask |= Stage.BRISTLE | Stage.MEMORY
-        if self.train is not None:
-            mask |= Stage.TWO_MASS
-        return int(mask)
+        return int(mask if self.train is None else mask | Stage.TWO_MASS)
 
     @property
     def has_bristle(self) -> bool:
@@ -334,10 +284,7 @@ class Kind:
 
     def parameter(self, name: str) -> Parameter:
         """The parameter of a name; KeyError without one."""
-        for p in self.parameters:
-            if p.name == name:
-                return p
-        raise KeyError(name)
+        return {p.name: p for p in self.parameters}[name]
 
 
 @dataclass(frozen=True)
@@ -353,55 +300,36 @@ class Effect:
     joint: int | None
     values: dict[str, float] = field(default_factory=dict)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         where = f"effect {self.kind.name}"
-        if self.kind.per_joint and (
-            isinstance(self.joint, bool) or not isinstance(self.joint, int) or not 1 <= self.joint <= 3
-        ):
+        if self.kind.per_joint and (type(self.joint) is not int or not 1 <= self.joint <= 3):
             raise ParameterError(f"joint {self.joint}", where=where, expected="joint=1, 2 or 3")
         if not self.kind.per_joint and self.joint is not None:
             raise ParameterError(f"joint {self.joint}", where=where, expected="no joint: it acts on the whole arm")
-        known = {p.name: p for p in self.kind.parameters}
+        known = [p.name for p in self.kind.parameters]
         for name in self.values:
             if name not in known:
                 raise ParameterError(f"unknown parameter '{name}'", where=where, expected=f"one of {', '.join(known)}")
         complete = {}
         for p in self.kind.parameters:
             value = self.values.get(p.name, p.default)
-            if value is None and p.from_arm is not None:
-                continue
-            if value is None:
-                raise ParameterError(
-                    f"'{p.name}' is missing", where=where, expected=f"{p.name}=VALUE in {p.unit} ({p.meaning})"
-                )
-            if isinstance(value, bool) or not isinstance(value, (int, float)):
-                raise ParameterError(f"{p.name}={value!r}", where=where, expected=f"a number in {p.unit}")
-            value = float(value)
-            if not isfinite(value) or not p.low <= value <= p.high:
-                raise ParameterError(f"{p.name}={value:g}", where=where, expected=f"{p.low:g} to {p.high:g} {p.unit}")
-            complete[p.name] = value
-        if self.kind.check is not None and len(complete) == len(known):
-            expected = self.kind.check(complete)
-            if expected:
-                raise ParameterError(
-                    ", ".join(f"{k}={v:g}" for k, v in complete.items()), where=where, expected=expected
-                )
+            if value is not None or p.from_arm is None:
+                complete[p.name] = p.checked(value, where)
+        if self.kind.check is not None and len(complete) == len(known) and (expected := self.kind.check(complete)):
+            what = ", ".join(f"{name}={value:g}" for name, value in complete.items())
+            raise ParameterError(what, where=where, expected=expected)
         object.__setattr__(self, "values", complete)
 
     def on(self, arm: ArmParameters) -> Effect:
         """The effect with the values that it takes from its arm filled in."""
-        filled = {}
-        for p in self.kind.parameters:
-            if p.from_arm is not None and p.name not in self.values:
-                filled[p.name] = p.from_arm(arm, self.joint)
-            else:
-                filled[p.name] = self.values[p.name]
-        return Effect(self.kind, self.joint, filled)
+        missing = [p for p in self.kind.parameters if p.from_arm and p.name not in self.values]
+        taken = {p.name: p.from_arm(arm, self.joint) for p in missing if p.from_arm}
+        return Effect(self.kind, self.joint, self.values | taken)
 
-    def __hash__(self):
+    def __hash__(self) -> int:
         return hash((self.kind.name, self.joint, tuple(self.values.items())))
 
-    def __str__(self):
+    def __str__(self) -> str:
         """The form that `parse_effect` reads, with every digit."""
         joint = [] if self.joint is None else [f"joint={self.joint}"]
         items = joint + [f"{name}={value!r}" for name, value in self.values.items()]

@@ -2,26 +2,13 @@
 # Copyright the puma-sim contributors
 """A sensor whose zero is not the model's."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from puma_sim_core.effects.base import SENSING, Kind, Law, Parameter, Point
-from puma_sim_core.effects.screening import TORQUE_COLUMN, Candidate, Screening, Signals
-from puma_sim_core.effects.shared.columns import bounded, candidate, change_of_voltage
-from puma_sim_core.jit import inlined
-
-if TYPE_CHECKING:
-    pass
-
-
-@inlined
-def offset_error(p, k):
-    """Measured less true position [rad]."""
-    return p[k]
+from puma_sim_core.effects.base import SENSING, SIZE, Kind, Law, Parameter, Point
+from puma_sim_core.effects.screening import ByJoint, Candidate, Screening, Signals, Values
+from puma_sim_core.effects.shared.columns import bounded, candidate, sized
+from puma_sim_core.effects.shared.laws import first
+from puma_sim_core.effects.shared.motion import change_of_voltage
 
 
 def offset(signals: Signals, joint: int) -> list[Candidate]:
@@ -33,19 +20,13 @@ def offset(signals: Signals, joint: int) -> list[Candidate]:
     # a torque that does not know the joint's position, or hardly, shows no offset of it
     if not seen or max(0.3 * np.abs(slope[:, i]).max() / signals.torque_scale[i] for i in seen) < 0.02:
         return []
-
-    def values(c):
-        return {"angle": bounded(c[0], "offset", "rad", 0.3)}
-
-    return [candidate([seen], [0.0], [0.015], values, unit=TORQUE_COLUMN)]
+    return [candidate([seen], [0.0], [0.015], sized("angle", bounded, "offset", "rad", 0.3))]
 
 
-def known_voltage(
-    signals: Signals, joint: int, values: Mapping[str, float], torque: np.ndarray
-) -> dict[int, np.ndarray]:
+def known_voltage(signals: Signals, joint: int, values: Values, torque: np.ndarray) -> ByJoint:
     """Change of the model's voltage [V] by what the sensor makes of the position."""
-    q = signals.position[:, joint]
-    return change_of_voltage(signals, joint, np.full_like(q, -values["angle"]), 0.0 * q, 0.0 * q)
+    still = 0.0 * signals.position[:, joint]
+    return change_of_voltage(signals, joint, (still - values["angle"], still, still))
 
 
 EFFECT = Kind(
@@ -54,11 +35,11 @@ EFFECT = Kind(
     acts=SENSING,
     equation="m = q + angle",
     sentence="The sensor's zero is not the model's: gravity is felt at other angles than it says.",
-    parameters=(Parameter("angle", "rad", -10.0, 10.0, "measured less true position", plausible=(0.001, 0.05)),),
-    laws=(Law(Point.SENSOR_OFFSET, offset_error),),
+    parameters=(Parameter("angle", "rad", -10.0, 10.0, "measured less true position", SIZE, (0.001, 0.05)),),
+    laws=(Law(Point.SENSOR_OFFSET, first),),
     shifts_zero=True,
     known_voltage=known_voltage,
-    screening=Screening(offset, excitation="Many poses with different torques of gravity."),
+    screening=Screening(offset, "Many poses with different torques of gravity."),
     drawn_against=("position",),
     example="encoder_offset:joint=2,angle=0.02",
 )

@@ -2,30 +2,23 @@
 # Copyright the puma-sim contributors
 """An impact of short duration."""
 
-from __future__ import annotations
-
 from math import pi, sin
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from puma_sim_core.effects.base import TORQUE, Kind, Law, Parameter, Point, Role
+from puma_sim_core.effects.base import PLACE, SIZE, TORQUE, Kind, Law, Parameter, Point
 from puma_sim_core.effects.screening import Candidate, Screening, Signals
-from puma_sim_core.effects.shared.columns import bounded, candidate, on_joint, stretches
-from puma_sim_core.jit import inlined
-
-if TYPE_CHECKING:
-    pass
+from puma_sim_core.effects.shared.columns import bounded, candidate, on_joint, sized, stretches
+from puma_sim_core.jit import Table, inlined
 
 #: whole widths of an impact [s]
 _WIDTHS = (0.02, 0.03, 0.045, 0.065, 0.1, 0.15)
-
 #: best places that are kept of each width
 _PLACES = 3
 
 
 @inlined
-def pulse_part(share):
+def pulse_part(share: float) -> float:
     """Share of a pulse's momentum that has come after a share of its width, 0 to 1."""
     if share <= 0.0:
         return 0.0
@@ -35,11 +28,10 @@ def pulse_part(share):
 
 
 @inlined
-def pulse_torque(p, k, time, step):
-    """Mean torque [N.m] of the pulse from `time` to `time` + `step` [s], positive in +q.
+def pulse_torque(p: Table, k: int, time: float, step: float) -> float:
+    """Mean torque [N.m] of the pulse from `time` to `time` + `step` [s], positive in +q; with step 0 its value.
 
-    The mean keeps the momentum of the impact to rounding, however long the steps are. The value at
-    an instant comes with step 0.
+    The mean keeps the momentum of the impact to rounding, however long the steps are.
     """
     if p[k] == 0.0:
         return 0.0
@@ -57,29 +49,18 @@ def pulse_torque(p, k, time, step):
 def impulse(signals: Signals, joint: int, residual: np.ndarray | None = None) -> list[Candidate]:
     """Half a squared sine of a few widths at the places where it fits what is left best.
 
-    residual : (n, J) voltages that nothing explains so far, `signals.residual` where not given;
-        without it there are no candidates.
+    residual : (n, J) voltages that nothing explains so far, `signals.residual` where not given.
     """
     residual = signals.residual if residual is None else residual
     if residual is None:
         return []
-    scale = float(signals.torque_scale[joint])
-    found = []
-    for width in _WIDTHS:
-        if width < 4.0 * signals.step:
-            continue
-        places, tried = _best_places(signals, residual, joint, width)
+    scale, found = float(signals.torque_scale[joint]), []
+    values = sized("torque", bounded, "impact", "N.m", 40.0 * scale)
+    for width in (width for width in _WIDTHS if not width < 4.0 * signals.step):
+        places, tried = _best_places(signals, residual[:, joint], float(signals.lag[joint]), width)
         for middle in places:
-            column = -pulse(signals.time, middle, width)
-
-            def values(c, middle=middle, width=width):
-                return {"torque": bounded(c[0], "impact", "N.m", 40.0 * scale), "time": middle, "width": width}
-
-            found.append(
-                candidate(
-                    on_joint(joint, column), [0.0], [6.0 * scale], values, {"time": middle, "width": width}, tried=tried
-                )
-            )
+            columns, grid = on_joint(joint, -pulse(signals.time, middle, width)), {"time": middle, "width": width}
+            found.append(candidate(columns, [0.0], [6.0 * scale], values, grid, tried=tried))
     return found
 
 
@@ -89,25 +70,23 @@ def pulse(time: np.ndarray, middle: float, width: float) -> np.ndarray:
     return np.where(np.abs(phase) < 0.5, np.cos(np.pi * phase) ** 2, 0.0)
 
 
-def _best_places(signals: Signals, residual: np.ndarray, joint: int, width: float):
-    """Times [s] of the best fits of a pulse of `width`, at least a width apart, and how many
-    places there were to choose from."""
+def _best_places(signals: Signals, residual: np.ndarray, lag: float, width: float) -> tuple[list[float], int]:
+    """Times [s] of the best fits of a pulse, at least a width apart, and how many places there were to choose from."""
     half = int(round(0.5 * width / signals.step))
     window = np.arange(-3 * half, 3 * half + 1)
     template = pulse(window * signals.step, 0.0, width)
     # the winding's voltage for a torque runs ahead of it by L/R
-    template = template + float(signals.lag[joint]) * np.gradient(template, signals.step)
+    template = template + lag * np.gradient(template, signals.step)
     # level and slope around the pulse are explained by anything slow
-    basis = np.stack([np.ones(window.size), window, window**2])
-    q, _ = np.linalg.qr(basis.T.astype(float))
+    q, _ = np.linalg.qr(np.stack([np.ones(window.size), window, window**2]).T.astype(float))
     template = template - q @ (q.T @ template)
     template /= np.linalg.norm(template)
     best = []
     for part in stretches(signals):
         if part.stop - part.start < window.size:
             continue
-        score = np.abs(np.correlate(residual[part, joint], template, mode="valid"))
-        times = signals.time[part][3 * half : 3 * half + score.size]
+        score = np.abs(np.correlate(residual[part], template, mode="valid"))
+        times = signals.time[part][3 * half :]
         for _ in range(_PLACES):
             at = int(score.argmax())
             if not score[at] > 0.0:
@@ -126,25 +105,15 @@ EFFECT = Kind(
     equation="tau = -p sin(pi (t - t0 + w/2) / w)^2 while |t - t0| < w/2",
     sentence="An impact or a push of short duration that no command in the log causes.",
     parameters=(
-        Parameter("torque", "N.m", -1e4, 1e4, "p, peak, positive in +q", plausible=(5.0, 300.0)),
-        Parameter("time", "s", -1e6, 1e9, "t0, middle of the pulse", role=Role.PLACE, step="width"),
-        Parameter(
-            "width",
-            "s",
-            1e-4,
-            100.0,
-            "w, whole width",
-            neutral=1.0,
-            role=Role.PLACE,
-            plausible=(0.02, 0.15),
-            logarithmic=True,
-        ),
+        Parameter("torque", "N.m", -1e4, 1e4, "p, peak, positive in +q", SIZE, (5.0, 300.0)),
+        Parameter("time", "s", -1e6, 1e9, "t0, middle of the pulse", PLACE, step="width"),
+        Parameter("width", "s", 1e-4, 100.0, "w, whole width", PLACE, (0.02, 0.15), neutral=1.0, logarithmic=True),
     ),
     laws=(Law(Point.PUSH, pulse_torque),),
     repeatable=False,
     screening=Screening(
         impulse,
-        excitation="None can show it again: an impact is not repeatable; repeat the motion to see that it is gone.",
+        "None can show it again: an impact is not repeatable; repeat the motion to see that it is gone.",
         generous=0.03,
     ),
     drawn_against=("time",),

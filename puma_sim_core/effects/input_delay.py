@@ -2,28 +2,15 @@
 # Copyright the puma-sim contributors
 """Voltages reach the motors late."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from puma_sim_core.effects.base import VOLTAGE, Kind, Law, Parameter, Point
+from puma_sim_core.effects.base import SIZE, VOLTAGE, Kind, Law, Parameter, Point
 from puma_sim_core.effects.screening import VOLTAGE_COLUMN, Candidate, Screening, Signals
-from puma_sim_core.effects.shared.columns import candidate, positive, stretches
-from puma_sim_core.jit import inlined
-
-if TYPE_CHECKING:
-    pass
+from puma_sim_core.effects.shared.columns import candidate, positive, sized, stretches
+from puma_sim_core.effects.shared.laws import first
 
 #: input delays [s]
 _DELAYS = (0.0005, 0.001, 0.002, 0.003, 0.0045)
-
-
-@inlined
-def late_by(p, k):
-    """Delay [s]."""
-    return p[k]
 
 
 def delay(signals: Signals, joint: int | None) -> list[Candidate]:
@@ -31,23 +18,21 @@ def delay(signals: Signals, joint: int | None) -> list[Candidate]:
 
     The exact difference holds at the frequencies where T dV/dt no longer does.
     """
-    found = []
-    for time in _DELAYS:
-        column = {j: (signals.voltage[:, j] - _late(signals, j, time)) / time for j in range(signals.joints)}
 
-        def values(c):
-            return {"time": positive(c[0], "delay", "s", 0.03)}
+    def at(T: float) -> Candidate:
+        column = dict(enumerate((signals.voltage - _late(signals, T)).T / T))
+        values = sized("time", positive, "delay", "s", 0.03)
+        return candidate([column], [T], [0.5 * T], values, {"time": T}, VOLTAGE_COLUMN)
 
-        found.append(candidate([column], [time], [0.5 * time], values, {"time": time}, VOLTAGE_COLUMN))
-    return found
+    return [at(T) for T in _DELAYS]
 
 
-def _late(signals: Signals, joint: int, time: float) -> np.ndarray:
-    voltage = signals.voltage[:, joint]
-    out = np.empty_like(voltage)
+def _late(signals: Signals, by: float) -> np.ndarray:
+    """Voltages (n, J) of some time before."""
+    out = np.empty_like(signals.voltage)
     for part in stretches(signals):
         t = signals.time[part]
-        out[part] = np.interp(t - time, t, voltage[part])
+        out[part] = np.transpose([np.interp(t - by, t, volts) for volts in signals.voltage[part].T])
     return out
 
 
@@ -57,12 +42,12 @@ EFFECT = Kind(
     acts=VOLTAGE,
     equation="V(t) = V asked for at t - T",
     sentence="Every voltage reaches its motor later than the log says.",
-    parameters=(Parameter("time", "s", 0.0, 1.0, "T", plausible=(0.0003, 0.01)),),
-    laws=(Law(Point.DELAY, late_by),),
+    parameters=(Parameter("time", "s", 0.0, 1.0, "T", SIZE, (0.0003, 0.01)),),
+    laws=(Law(Point.DELAY, first),),
     per_joint=False,
     feigned=True,
     fine=True,
-    screening=Screening(delay, excitation="A dither of 5 to 20 Hz on the voltage, best without feedback.", fast=True),
+    screening=Screening(delay, "A dither of 5 to 20 Hz on the voltage, best without feedback.", fast=True),
     drawn_against=("voltage_rate", "acceleration"),
     example="input_delay:time=0.004",
 )

@@ -2,94 +2,65 @@
 # Copyright the puma-sim contributors
 """An elastic drive: rotor and link are two masses with a spring between."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from puma_sim_core.effects.base import ROTOR_INERTIA, TRANSMISSION, Kind, Needs, Parameter, Role, Train
-from puma_sim_core.effects.screening import VOLTAGE_COLUMN, Candidate, Screening, Signals
-from puma_sim_core.effects.shared.columns import candidate, is_arm, moves, stretches
+from puma_sim_core.effects.base import RATE, ROTOR_INERTIA, TRANSMISSION, Kind, Needs, Parameter, Train
+from puma_sim_core.effects.screening import VOLTAGE_COLUMN, ByJoint, Candidate, Screening, Signals
+from puma_sim_core.effects.shared.columns import candidate, is_arm, stretches, when_moving
 from puma_sim_core.effects.shared.drive_train import MOTOR_SHARE, beginning, link_side, on_links
-from puma_sim_core.jit import compiled
+from puma_sim_core.jit import Table, Vec, compiled
 
-if TYPE_CHECKING:
-    pass
-
-#: frequencies [Hz] of the link against a locked rotor, with the shares of critical damping. Real
-#: drives are damped less, but then noise of the motion rings in the simulated link, and its phase
-#: is lost unless the frequency is known to a percent.
+#: shares of critical damping, with frequencies [Hz] of the link against a locked rotor. Real drives are damped less,
+#: but then noise rings in the simulated link, and its phase is lost unless the frequency is known to a percent
 _RESONANCES = ((0.05, np.geomspace(3.0, 45.0, 28)), (0.15, np.geomspace(3.0, 45.0, 16)))
-
 #: stiffnesses of the arm's drives [N.m/rad], beyond the library's on both sides
 _STIFFNESSES = (2e3, 1.2e5)
 
 
+@when_moving
 def elasticity(signals: Signals, joint: int) -> list[Candidate]:
-    """Torque through an elastic shaft less that through a rigid one, with coefficient 1, for a
-    grid of the link's frequency and of the damping."""
-    if not moves(signals, joint):
-        return []
-    inertia, torque = link_side(signals, joint)
-    mean = float(inertia.mean())
-    found = []
-    for damping_ratio, frequencies in _RESONANCES:
-        for frequency in frequencies:
-            stiffness = float(mean * (2.0 * np.pi * frequency) ** 2)
-            if is_arm(signals) and not _STIFFNESSES[0] <= stiffness <= _STIFFNESSES[1]:
-                continue
-            damping = float(2.0 * damping_ratio * np.sqrt(stiffness * mean))
+    """Torque through an elastic shaft less that through a rigid one, with coefficient 1, for a grid of the link's
+    frequency and of the damping."""
+    inertia = float(link_side(signals, joint)[0].mean())
 
-            def values(c, stiffness=stiffness, damping=damping):
-                return {"stiffness": stiffness, "damping": damping}
+    def at(frequency: float, share: float) -> Candidate | None:
+        stiffness = float(inertia * (2.0 * np.pi * frequency) ** 2)
+        if is_arm(signals) and not _STIFFNESSES[0] <= stiffness <= _STIFFNESSES[1]:
+            return None
+        shaft = {"stiffness": stiffness, "damping": float(2.0 * share * np.sqrt(stiffness * inertia))}
+        column = _cost(signals, joint, **shaft)
+        return candidate([column], [1.0], [0.12], lambda c, **shaft: shaft, shaft, VOLTAGE_COLUMN, fixed=True)
 
-            passed = shaft_torque(signals, torque, inertia, stiffness, damping)
-            found.append(
-                candidate(
-                    [on_links(signals, joint, passed - torque, inertia)],
-                    [1.0],
-                    [0.12],
-                    values,
-                    {"stiffness": stiffness, "damping": damping},
-                    VOLTAGE_COLUMN,
-                    fixed=True,
-                )
-            )
-    return found
+    return [c for share, frequencies in _RESONANCES for f in frequencies if (c := at(f, share)) is not None]
 
 
-def shaft_torque(signals: Signals, torque, inertia, stiffness: float, damping: float):
-    """Torque (n,) [N.m] through a shaft K, B under the measured motion of its rotor.
+def _cost(signals: Signals, joint: int, stiffness: float, damping: float) -> ByJoint:
+    """Voltages of the torque through a shaft K, B less that through a rigid one, under its rotor's motion.
 
-    The twist d obeys M d'' + B d' + K d = torque, the one of a rigid shaft: solved exactly
-    between samples for a torque that changes linearly and an inertia that stays.
+    The twist d obeys M d'' + B d' + K d = torque, the one of a rigid shaft: solved exactly between samples for a torque
+    that changes linearly and an inertia that stays.
     """
-    step = signals.step
-    decay = damping / (2.0 * inertia)
+    inertia, rigid = link_side(signals, joint)
+    step, decay = signals.step, damping / (2.0 * inertia)
     turn = np.sqrt(np.maximum(stiffness / inertia - decay**2, 1e-12))
     shrunk = np.exp(-decay * step)
     s, c = shrunk * np.sin(turn * step) / turn, shrunk * np.cos(turn * step)
     flow = np.stack([c + decay * s, s, -(stiffness / inertia) * s, c - decay * s], axis=1)
-    out = np.empty_like(torque)
+    passed = np.empty_like(rigid)
     for part in stretches(signals):
-        static = np.ascontiguousarray(torque[part]) / stiffness
-        twist, rate = _swing(
-            np.ascontiguousarray(flow[part]), static, step, damping / stiffness, beginning(signals, static)
-        )
-        out[part] = stiffness * twist + damping * rate
-    return out
+        static = np.ascontiguousarray(rigid[part]) / stiffness
+        start = beginning(signals, static)
+        twist, rate = _swing(np.ascontiguousarray(flow[part]), static, step, damping / stiffness, start)
+        passed[part] = stiffness * twist + damping * rate
+    return on_links(signals, joint, passed - rigid, inertia)
 
 
 @compiled
-def _swing(flow, static, step, lag, begins):
+def _swing(flow: Table, static: Table, step: Table, lag: Table, begins: Table) -> Vec:
     """Twist and its rate (n,), from rest at a twist on; flow (n, 4) steps the free motion."""
     twist, rate = static.copy(), static.copy()
-    d = begins
-    v = 0.0
-    twist[0] = d
-    rate[0] = 0.0
+    d, v = begins, 0.0
+    twist[0], rate[0] = d, v
     for i in range(static.size - 1):
         slope = (static[i + 1] - static[i]) / step
         # beside the motion that the ramp of the torque forces, the shaft swings freely
@@ -97,23 +68,8 @@ def _swing(flow, static, step, lag, begins):
         w = v - slope
         d = flow[i, 0] * y + flow[i, 1] * w + static[i + 1] - lag * slope
         v = flow[i, 2] * y + flow[i, 3] * w + slope
-        twist[i + 1] = d
-        rate[i + 1] = v
+        twist[i + 1], rate[i + 1] = d, v
     return twist, rate
-
-
-def known_voltage(
-    signals: Signals, joint: int, values: Mapping[str, float], torque: np.ndarray
-) -> dict[int, np.ndarray]:
-    """Voltage [V] that the shaft makes along a measured motion."""
-    inertia, rigid = link_side(signals, joint)
-    passed = shaft_torque(signals, rigid, inertia, values["stiffness"], values["damping"])
-    return on_links(signals, joint, passed - rigid, inertia)
-
-
-def train(values: Mapping[str, float]) -> Train:
-    """A spring between rotor and link."""
-    return Train((values["stiffness"], values["damping"]), motor_share=values["motor_share"])
 
 
 EFFECT = Kind(
@@ -124,25 +80,15 @@ EFFECT = Kind(
     sentence="A drive that twists: the link swings against the rotor, with a resonance and, in "
     "the motor's position, an antiresonance.",
     parameters=(
-        Parameter(
-            "stiffness",
-            "N.m/rad",
-            10.0,
-            1e7,
-            "K, at the joint",
-            role=Role.RATE,
-            plausible=(2e3, 1e5),
-            logarithmic=True,
-            inverse=True,
-        ),
+        Parameter("stiffness", "N.m/rad", 10.0, 1e7, "K, at the joint", RATE, (2e3, 1e5), inverse=True),
         Parameter("damping", "N.m.s/rad", 0.0, 1000.0, "B, at the joint", default=5.0),
         MOTOR_SHARE,
     ),
-    train=train,
+    train=lambda v: Train((v["stiffness"], v["damping"]), motor_share=v["motor_share"]),
     needs=Needs(ROTOR_INERTIA, "a rotor that can move against its link"),
     feigned=True,
-    known_voltage=known_voltage,
-    screening=Screening(elasticity, excitation="A dither or chirp up to 15 Hz, best without feedback.", fast=True),
+    known_voltage=lambda signals, joint, v, _: _cost(signals, joint, v["stiffness"], v["damping"]),
+    screening=Screening(elasticity, "A dither or chirp up to 15 Hz, best without feedback.", fast=True),
     drawn_against=("acceleration",),
     example="joint_elasticity:joint=2,stiffness=2e4",
 )

@@ -2,23 +2,16 @@
 # Copyright the puma-sim contributors
 """A spring across a joint."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from puma_sim_core.effects.base import TORQUE, Kind, Law, Parameter, Point, Role
+from puma_sim_core.effects.base import PLACE, RATE, TORQUE, Kind, Law, Parameter, Point
 from puma_sim_core.effects.screening import Candidate, Illegal, Screening, Signals
 from puma_sim_core.effects.shared.columns import candidate, on_joint, positive, whole_range
-from puma_sim_core.jit import inlined
-
-if TYPE_CHECKING:
-    pass
+from puma_sim_core.jit import Table, inlined
 
 
 @inlined
-def spring_torque(p, k, q, qd):
+def spring_torque(p: Table, k: int, q: float, qd: float) -> float:
     """Torque [N.m] of the spring at position q [rad], positive against positive motion."""
     return p[k] * (q - p[k + 1])
 
@@ -32,16 +25,15 @@ def spring(signals: Signals, joint: int) -> list[Candidate]:
         return []
     unit = 2.0 * scale / (high - low)
 
-    def values(c):
+    def values(c: np.ndarray) -> dict[str, float]:
         stiffness = positive(c[0], "stiffness", "N.m/rad", 60.0 * unit)
         angle = middle - float(c[1]) / max(stiffness, 1e-12)
         if not 1.5 * low - 0.5 * high <= angle <= 1.5 * high - 0.5 * low:
             raise Illegal(f"spring slack at {angle:.3g} rad, far outside the range {low:.3g} to {high:.3g} rad")
         return {"stiffness": stiffness, "angle": angle}
 
-    return [
-        candidate(on_joint(joint, q - middle, np.ones_like(q)), [2.0 * unit, 0.0], [3.0 * unit, 1.5 * scale], values)
-    ]
+    columns = on_joint(joint, q - middle, np.ones_like(q))
+    return [candidate(columns, [2.0 * unit, 0.0], [3.0 * unit, 1.5 * scale], values)]
 
 
 EFFECT = Kind(
@@ -51,11 +43,11 @@ EFFECT = Kind(
     equation="tau = Ks (q - q0)",
     sentence="A spring across the joint: a balance spring, or a cable that is bent.",
     parameters=(
-        Parameter("stiffness", "N.m/rad", 0.0, 1e5, "Ks", role=Role.RATE, plausible=(0.5, 50.0)),
-        Parameter("angle", "rad", -10.0, 10.0, "q0, where it is slack", default=0.0, role=Role.PLACE),
+        Parameter("stiffness", "N.m/rad", 0.0, 1e5, "Ks", RATE, (0.5, 50.0)),
+        Parameter("angle", "rad", -10.0, 10.0, "q0, where it is slack", PLACE, default=0.0),
     ),
     laws=(Law(Point.LINK_TORQUE, spring_torque, 1),),
-    screening=Screening(spring, excitation="Slow motion over the full range of the joint."),
+    screening=Screening(spring, "Slow motion over the full range of the joint."),
     drawn_against=("position",),
     example="joint_spring:joint=3,stiffness=6",
 )

@@ -2,42 +2,30 @@
 # Copyright the puma-sim contributors
 """Dry friction of the gears that grows with their load."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from puma_sim_core.effects.base import TORQUE, Kind, Law, Parameter, Point, Role
+from puma_sim_core.effects.base import SIZE, STRUCTURE, TORQUE, Kind, Law, Parameter, Point
 from puma_sim_core.effects.screening import Candidate, Screening, Signals
-from puma_sim_core.effects.shared.columns import candidate, is_arm, motor_torque, moves, on_joint, positive
+from puma_sim_core.effects.shared.columns import candidate, is_arm, motor_torque, on_joint, positive, sized, when_moving
 from puma_sim_core.effects.shared.dry_friction import direction_of
-from puma_sim_core.jit import inlined
-
-if TYPE_CHECKING:
-    pass
+from puma_sim_core.jit import Table, inlined
 
 #: greatest share of the load that a gear takes
 _GREATEST_COEFFICIENT = 0.5
-
-#: what the load of a gear may be: the weight alone, or the torque that it transmits
-_TRANSMITTED = (0.0, 1.0)
-
 #: least share of its torque that a gear passes on when it drives; with less it would block
 _LEAST_SHARE = 0.02
 
 
 @inlined
-def load_level(p, k, q, gravity, torque):
-    """Level [N.m] where the joint bears the gravity torque `gravity` [N.m] and its motor gives
-    `torque` [N.m], its viscous friction taken off."""
+def load_level(p: Table, k: int, q: float, gravity: float, torque: float) -> float:
+    """Level [N.m] under the torque of gravity [N.m] and the motor's [N.m], its viscous friction taken off."""
     if p[k + 1] == 0.0:
         return p[k] * abs(gravity)
     return p[k] * abs(gravity + p[k + 1] * (torque - gravity))
 
 
 @inlined
-def loaded_torque(p, k, gravity, sign, torque):
+def loaded_torque(p: Table, k: int, gravity: float, sign: float, torque: float) -> float:
     """Torque [N.m] of a motor that gives `torque` and, on top, what this friction takes of it.
 
     sign : of the velocity, -1..1. The friction loads the gear that it is made by: the load u is
@@ -50,36 +38,24 @@ def loaded_torque(p, k, gravity, sign, torque):
 
 
 @inlined
-def has_load_level(p, k):
+def has_load_level(p: Table, k: int) -> bool:
     """Whether there is any."""
     return p[k] > 0.0
 
 
+@when_moving
 def load_dependent(signals: Signals, joint: int) -> list[Candidate]:
     """|load| sgn(qd), the load the torque of gravity or of the motor; the coefficient is mu."""
-    if not moves(signals, joint):
-        return []
-    direction, found = direction_of(signals, joint), []
+    gravity, direction = signals.gravity_torque[:, joint], direction_of(signals, joint)
     # small servos have gears that pass on less than half
     most = _GREATEST_COEFFICIENT if is_arm(signals) else 1.0
-    for share in _TRANSMITTED:
-        load = transmitted_load(signals, joint, share)
-        if np.abs(load).max() < 0.02 * signals.torque_scale[joint]:
-            continue
-
-        def values(c, share=share):
-            return {"coefficient": positive(c[0], "coefficient of load friction", "", most), "transmitted": share}
-
-        found.append(candidate(on_joint(joint, np.abs(load) * direction), [0.1], [0.1], values, {"transmitted": share}))
-    return found
-
-
-def transmitted_load(signals: Signals, joint: int, share: float) -> np.ndarray:
-    """Load (n,) [N.m] of a joint's gear: `share` of the motor's torque, the rest gravity's."""
-    gravity = signals.gravity_torque[:, joint]
-    if share == 0.0:
-        return gravity
-    return gravity + share * (motor_torque(signals, joint) - gravity)
+    values = sized("coefficient", positive, "coefficient of load friction", "", most)
+    loads = {0.0: gravity, 1.0: gravity + (motor_torque(signals, joint) - gravity)}
+    return [
+        candidate(on_joint(joint, np.abs(load) * direction), [0.1], [0.1], values, {"transmitted": share})
+        for share, load in loads.items()
+        if not np.abs(load).max() < 0.02 * signals.torque_scale[joint]
+    ]
 
 
 EFFECT = Kind(
@@ -91,15 +67,15 @@ EFFECT = Kind(
     sentence="Dry friction of the gears that grows with the load they carry: the weight of the "
     "pose (a = 0), the torque that they transmit (a = 1), or a mean of the two.",
     parameters=(
-        Parameter("coefficient", "1", 0.0, 1.0, "mu, of the load", plausible=(0.02, 0.3)),
+        Parameter("coefficient", "1", 0.0, 1.0, "mu, of the load", SIZE, (0.02, 0.3)),
         Parameter(
             "transmitted",
             "1",
             0.0,
             1.0,
             "a, share of the motor's torque in the load, of gravity's the rest",
+            STRUCTURE,
             default=0.0,
-            role=Role.STRUCTURE,
         ),
     ),
     laws=(
@@ -110,7 +86,7 @@ EFFECT = Kind(
     directed=True,
     screening=Screening(
         load_dependent,
-        excitation="Reversals in many poses and at several accelerations, so that the torque that "
+        "Reversals in many poses and at several accelerations, so that the torque that "
         "the gear bears differs between them.",
     ),
     drawn_against=("gravity_torque", "link_torque", "torque"),

@@ -2,30 +2,22 @@
 # Copyright the puma-sim contributors
 """Dry friction that varies over the range of the joint."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
 from math import cos
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from puma_sim_core.effects.base import TORQUE, Kind, Law, Parameter, Point, Role
-from puma_sim_core.effects.screening import Candidate, Illegal, Screening, Signals
-from puma_sim_core.effects.shared.columns import candidate, moves, on_joint, positive
-from puma_sim_core.effects.shared.dry_friction import MOST, direction_of, level_prior, shape_prior
-from puma_sim_core.jit import inlined
-
-if TYPE_CHECKING:
-    pass
-
+from puma_sim_core.effects.base import PLACE, SIZE, TORQUE, Kind, Law, Parameter, Point
+from puma_sim_core.effects.screening import Candidate, Illegal, Screening, Signals, Values
+from puma_sim_core.effects.shared.columns import candidate, on_joint, polar, when_moving
+from puma_sim_core.effects.shared.dry_friction import direction_of, level, level_parameter, level_prior, shape_prior
+from puma_sim_core.jit import Table, inlined
 
 #: variation over the position as a share of the level on machines, middle and one deviation
 _VARIATION = (0.0, 0.4)
 
 
 @inlined
-def position_level(p, k, q, gravity, torque):
+def position_level(p: Table, k: int, q: float, gravity: float, torque: float) -> float:
     """Level [N.m] at position q [rad]."""
     if p[k + 1] == 0.0:
         return p[k]
@@ -33,41 +25,35 @@ def position_level(p, k, q, gravity, torque):
 
 
 @inlined
-def has_position_level(p, k):
+def has_position_level(p: Table, k: int) -> bool:
     """Whether there is any, somewhere."""
     return p[k] > 0.0 or p[k + 1] > 0.0
 
 
+@when_moving
 def position_dependent(signals: Signals, joint: int) -> list[Candidate]:
     """sgn(qd), cos q sgn(qd) and sin q sgn(qd): level F0 + F1 cos(q - f)."""
-    if not moves(signals, joint):
-        return []
     scale = float(signals.torque_scale[joint])
     q, direction = signals.position[:, joint], direction_of(signals, joint)
     visited = np.linspace(q.min(), q.max(), 50)
 
-    def values(c):
-        mean = positive(c[0], "mean level", "N.m", MOST * scale)
-        amplitude, angle = float(np.hypot(c[1], c[2])), float(np.arctan2(c[2], c[1]))
-        level = mean + amplitude * np.cos(visited - angle)
-        if level.min() < -0.15 * level.max():
-            raise Illegal(f"negative level {level.min():.3g} N.m at q = {visited[level.argmin()]:.3g} rad")
+    def values(c: np.ndarray) -> dict[str, float]:
+        mean = level(c[0], "mean level", scale)
+        amplitude, angle = polar(c[1], c[2])
+        levels = mean + amplitude * np.cos(visited - angle)
+        if levels.min() < -0.15 * levels.max():
+            raise Illegal(f"negative level {levels.min():.3g} N.m at q = {visited[levels.argmin()]:.3g} rad")
         return {"torque": mean, "amplitude": amplitude, "angle": angle}
 
     columns = on_joint(joint, direction, np.cos(q) * direction, np.sin(q) * direction)
     return [candidate(columns, [0.5 * scale, 0.0, 0.0], [scale, 0.5 * scale, 0.5 * scale], values)]
 
 
-def coordinates(values: Mapping[str, float], scale: float) -> np.ndarray:
+def coordinates(values: Values, scale: float) -> np.ndarray:
     """Mean level, and its variation with the cosine and the sine of the position."""
     mean, amplitude, angle = values["torque"], values["amplitude"], values["angle"]
-    return np.array(
-        [
-            level_prior(mean, scale),
-            shape_prior(amplitude * np.cos(angle), mean, _VARIATION),
-            shape_prior(amplitude * np.sin(angle), mean, _VARIATION),
-        ]
-    )
+    shapes = [shape_prior(amplitude * part, mean, _VARIATION) for part in (np.cos(angle), np.sin(angle))]
+    return np.array([level_prior(mean, scale), *shapes])
 
 
 EFFECT = Kind(
@@ -77,17 +63,14 @@ EFFECT = Kind(
     equation="tau = max(F0 + F1 cos(q - f), 0) sgn(qd); at rest any torque up to it is held",
     sentence="Dry friction that is greater in one part of the joint's range than in another.",
     parameters=(
-        Parameter("torque", "N.m", 0.0, 500.0, "F0, mean level", plausible=(0.4, 40.0)),
-        Parameter("amplitude", "N.m", 0.0, 500.0, "F1, by which it varies", plausible=(0.4, 30.0)),
-        Parameter("angle", "rad", -10.0, 10.0, "f, where it is greatest", default=0.0, role=Role.PLACE),
+        level_parameter("torque", "F0, mean level"),
+        Parameter("amplitude", "N.m", 0.0, 500.0, "F1, by which it varies", SIZE, (0.4, 30.0)),
+        Parameter("angle", "rad", -10.0, 10.0, "f, where it is greatest", PLACE, default=0.0),
     ),
     laws=(Law(Point.POSE_LEVEL, position_level), Law(Point.HAS_POSE_LEVEL, has_position_level)),
     directed=True,
     screening=Screening(
-        position_dependent,
-        excitation="Reversals over the full range of the joint.",
-        coordinates=coordinates,
-        size="amplitude",
+        position_dependent, "Reversals over the full range of the joint.", coordinates=coordinates, size="amplitude"
     ),
     drawn_against=("position",),
     example="position_dependent_friction:joint=2,torque=8,amplitude=3",

@@ -2,72 +2,51 @@
 # Copyright the puma-sim contributors
 """Dry friction that acts through an elastic bristle."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from puma_sim_core.effects.base import TORQUE, Kind, Law, Parameter, Point, Role
-from puma_sim_core.effects.screening import Candidate, Screening, Signals
-from puma_sim_core.effects.shared.columns import candidate, is_arm, moves, on_joint, positive, recursion, stretches
-from puma_sim_core.effects.shared.dry_friction import MOST, level_prior, rate_prior
-from puma_sim_core.jit import inlined
-
-if TYPE_CHECKING:
-    pass
+from puma_sim_core.effects.base import RATE, TORQUE, Kind, Law, Parameter, Point
+from puma_sim_core.effects.screening import Candidate, Screening, Signals, Values
+from puma_sim_core.effects.shared.columns import candidate, of_travel, on_joint, recursion, stretches, when_moving
+from puma_sim_core.effects.shared.dry_friction import level, level_parameter, level_prior, rate_prior
+from puma_sim_core.effects.shared.laws import first
+from puma_sim_core.jit import Table, inlined
 
 #: yield deflections of the bristles of a revolute joint [rad]
 _YIELD_DEFLECTIONS = np.geomspace(1e-4, 3e-3, 9)
 
-
-#: stiffness of bristles on machines [N.m/rad]: median, factor of one deviation; it stands in the objective of a fit.
-#: The default of a simulated effect is 2e4 N.m/rad
+#: stiffness of bristles on machines [N.m/rad]: median, factor of one deviation; it stands in the objective of a fit
 STIFFNESS = (1e4, 3.8)
 
 
 @inlined
-def presliding_level(p, k, direction):
+def presliding_level(p: Table, k: int, direction: float) -> float:
     """Own sliding level [N.m] of the bristle."""
     return p[k + 1]
 
 
-@inlined
-def bristle_stiffness(p, k):
-    """Stiffness [N.m/rad] of the bristle; 0.0 where there is none."""
-    return p[k]
-
-
+@when_moving
 def presliding(signals: Signals, joint: int) -> list[Candidate]:
-    """Deflection of a bristle under the measured motion over its yield deflection zs, for a grid
-    of zs; the coefficient is the sliding level Fc, the stiffness Fc / zs (Dahl 1968)."""
-    if not moves(signals, joint):
-        return []
+    """Deflection of a bristle under the measured motion over its yield deflection zs, for a grid of zs; the coefficient
+    is the sliding level Fc, the stiffness Fc / zs (Dahl 1968)."""
     scale = float(signals.torque_scale[joint])
-    grid = _YIELD_DEFLECTIONS
-    if not is_arm(signals):
-        # what the deflection is to the travelled range on the arm
-        grid = grid * min(1.0, float(np.ptp(signals.position[:, joint])))
-    found = []
-    for zs in grid:
 
-        def values(c, zs=float(zs)):
-            level = positive(c[0], "sliding level", "N.m", MOST * scale)
-            return {"stiffness": level / zs, "torque": level}
+    def values(c: np.ndarray, yield_deflection: float) -> dict[str, float]:
+        torque = level(c[0], "sliding level", scale)
+        return {"stiffness": torque / yield_deflection, "torque": torque}
 
-        column = bristle(signals, joint, float(zs))
-        found.append(
-            candidate(on_joint(joint, column), [0.5 * scale], [scale], values, {"yield_deflection": float(zs)})
+    return [
+        candidate(
+            on_joint(joint, bristle(signals, joint, zs)), [0.5 * scale], [scale], values, {"yield_deflection": zs}
         )
-    return found
+        for zs in _YIELD_DEFLECTIONS * of_travel(signals, joint)
+    ]
 
 
 def bristle(signals: Signals, joint: int, yield_deflection: float) -> np.ndarray:
     """Deflection (n,) of a bristle over its yield deflection, from -1 to 1.
 
-    The exact solution of z' = qd - |qd| z / zs between samples with a constant velocity: what the
-    model itself steps with. A stretch that begins in motion begins with a bent bristle.
+    The exact solution of z' = qd - |qd| z / zs between samples with a constant velocity: what the model itself steps
+    with. A stretch that begins in motion begins with a bent bristle.
     """
     q, qd = signals.position[:, joint], signals.velocity[:, joint]
     out = np.zeros(len(q))
@@ -80,7 +59,7 @@ def bristle(signals: Signals, joint: int, yield_deflection: float) -> np.ndarray
     return out
 
 
-def coordinates(values: Mapping[str, float], scale: float) -> np.ndarray:
+def coordinates(values: Values, scale: float) -> np.ndarray:
     """Level, and stiffness of the bristles."""
     return np.array([level_prior(values["torque"], scale), rate_prior(values["stiffness"], STIFFNESS)])
 
@@ -94,35 +73,14 @@ EFFECT = Kind(
     "slides, with a hysteresis loop at each reversal.",
     parameters=(
         Parameter(
-            "stiffness",
-            "N.m/rad",
-            1.0,
-            1e6,
-            "sigma0",
-            default=2e4,
-            role=Role.RATE,
-            plausible=(1e3, 1e6),
-            prior=STIFFNESS,
-            logarithmic=True,
-            inverse=True,
+            "stiffness", "N.m/rad", 1.0, 1e6, "sigma0", RATE, (1e3, 1e6), default=2e4, prior=STIFFNESS, inverse=True
         ),
-        Parameter(
-            "torque",
-            "N.m",
-            0.0,
-            500.0,
-            "sliding level, added to the joint's other dry friction",
-            default=0.0,
-            plausible=(0.4, 40.0),
-        ),
+        level_parameter("torque", "sliding level, added to the joint's other dry friction", default=0.0),
     ),
-    laws=(Law(Point.LEVEL, presliding_level), Law(Point.BRISTLE_STIFFNESS, bristle_stiffness)),
+    laws=(Law(Point.LEVEL, presliding_level), Law(Point.BRISTLE_STIFFNESS, first)),
     stiffening=lambda values: (values["stiffness"], 0.0),
     screening=Screening(
-        presliding,
-        excitation="Reversals with slow travel of 0.1 to 1 mrad about them.",
-        coordinates=coordinates,
-        size="torque",
+        presliding, "Reversals with slow travel of 0.1 to 1 mrad about them.", coordinates=coordinates, size="torque"
     ),
     drawn_against=("velocity",),
     example="presliding_friction:joint=1,torque=8",

@@ -2,39 +2,28 @@
 # Copyright the puma-sim contributors
 """Drag that grows with the square of the speed."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from puma_sim_core.effects.base import TORQUE, Kind, Law, Parameter, Point
+from puma_sim_core.effects.base import SIZE, TORQUE, Kind, Law, Parameter, Point
 from puma_sim_core.effects.screening import Candidate, Screening, Signals
-from puma_sim_core.effects.shared.columns import candidate, fastest, is_arm, moves, on_joint, positive
-from puma_sim_core.jit import inlined
-
-if TYPE_CHECKING:
-    pass
+from puma_sim_core.effects.shared.columns import candidate, fastest, is_arm, on_joint, positive, sized, when_moving
+from puma_sim_core.jit import Table, inlined
 
 
 @inlined
-def quadratic_torque(p, k, q, qd):
+def quadratic_torque(p: Table, k: int, q: float, qd: float) -> float:
     """Drag [N.m] at velocity qd [rad/s]."""
     return p[k] * qd * abs(qd)
 
 
+@when_moving
 def quadratic(signals: Signals, joint: int) -> list[Candidate]:
     """qd |qd|; the coefficient is c."""
-    if not moves(signals, joint):
-        return []
-    speed = fastest(signals, joint)
     # the arm's drag is that of the nominal friction torque at 1 to 2 rad/s, however slow the log
-    unit = float(signals.torque_scale[joint]) / max(speed, 1.0 if is_arm(signals) else 0.0) ** 2
+    speed = max(fastest(signals, joint), 1.0 if is_arm(signals) else 0.0)
+    unit = float(signals.torque_scale[joint]) / speed**2
     velocity = signals.velocity[:, joint]
-
-    def values(c):
-        return {"coefficient": positive(c[0], "drag coefficient", "N.m.s2/rad2", 20.0 * unit)}
-
+    values = sized("coefficient", positive, "drag coefficient", "N.m.s2/rad2", 20.0 * unit)
     return [candidate(on_joint(joint, velocity * np.abs(velocity)), [0.3 * unit], [0.6 * unit], values)]
 
 
@@ -44,9 +33,9 @@ EFFECT = Kind(
     acts=TORQUE,
     equation="tau = c qd |qd|",
     sentence="Drag that grows with the square of the speed, as of churned grease or a fan.",
-    parameters=(Parameter("coefficient", "N.m.s2/rad2", 0.0, 500.0, "c, at the joint", plausible=(0.5, 30.0)),),
+    parameters=(Parameter("coefficient", "N.m.s2/rad2", 0.0, 500.0, "c, at the joint", SIZE, (0.5, 30.0)),),
     laws=(Law(Point.MOTOR_TORQUE, quadratic_torque),),
-    screening=Screening(quadratic, excitation="Speeds above half of the greatest, in both directions."),
+    screening=Screening(quadratic, "Speeds above half of the greatest, in both directions."),
     drawn_against=("velocity",),
     example="quadratic_friction:joint=1,coefficient=5",
 )

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""The registry of effects: those of this folder, and users' own from entry points and files.
+"""The registry of effects: those of this folder, and users' own.
 
-It is complete before the kernel is built from it: a user's own effects come from entry points of the group
-``puma_sim.effects``, from the files that the environment variable PUMA_SIM_EFFECTS names (separated as PATH is), or
-from `load_effects`, called before anything is simulated.
+These come from entry points of the group ``puma_sim.effects``, from the files that the environment variable
+PUMA_SIM_EFFECTS names (separated as PATH is), or from `load_effects`, before the kernel is built from the registry.
 """
 
 from __future__ import annotations
@@ -15,7 +14,9 @@ import importlib.util
 import os
 import pkgutil
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -36,8 +37,7 @@ _NOT_EFFECTS = ("base", "registry", "relations", "screening", "shared")
 
 def _own() -> Iterator[Kind]:
     """The effects of this folder."""
-    folder = str(Path(__file__).parent)
-    for module in pkgutil.iter_modules([folder]):
+    for module in pkgutil.iter_modules([str(Path(__file__).parent)]):
         if module.name not in _NOT_EFFECTS:
             kind = importlib.import_module(f"puma_sim_core.effects.{module.name}").EFFECT
             if kind.name != module.name:
@@ -45,25 +45,34 @@ def _own() -> Iterator[Kind]:
             yield kind
 
 
+def _resolved(path: str | os.PathLike[str]) -> str:
+    return str(Path(path).expanduser().resolve())
+
+
 def _of_file(path: str | os.PathLike[str]) -> Kind:
     """The effect of a user's file."""
-    file = Path(path).expanduser().resolve()
+    where, file = f"effect file {path}", Path(_resolved(path))
     spec = importlib.util.spec_from_file_location(f"puma_sim_effect_{file.stem}", file)
     if spec is None or spec.loader is None or not file.is_file():
-        raise ParameterError("cannot be read", where=f"effect file {path}", expected="a Python file with EFFECT")
+        raise ParameterError("cannot be read", where=where, expected="a Python file with EFFECT")
     module = importlib.util.module_from_spec(spec)
     # functions that are compiled are looked up by the name of their module
     sys.modules[spec.name] = module
     add_source(file)
-    try:
+    with _importing(where, "a file that can be imported"):
         spec.loader.exec_module(module)
+    return _checked(getattr(module, "EFFECT", None), where)
+
+
+@contextmanager
+def _importing(where: str, expected: str) -> Iterator[None]:
+    """Errors of a user's module as ParameterErrors."""
+    try:
+        yield
     except ParameterError:
         raise
     except Exception as error:
-        raise ParameterError(
-            f"{type(error).__name__}: {error}", where=f"effect file {path}", expected="a file that can be imported"
-        ) from error
-    return _checked(getattr(module, "EFFECT", None), f"effect file {path}")
+        raise ParameterError(f"{type(error).__name__}: {error}", where=where, expected=expected) from error
 
 
 def _checked(kind: Any, where: str) -> Kind:
@@ -71,39 +80,34 @@ def _checked(kind: Any, where: str) -> Kind:
         raise ParameterError(f"EFFECT is {type(kind).__name__}", where=where, expected="EFFECT = Kind(...)")
     if not kind.name.isidentifier() or not kind.parameters:
         raise ParameterError(f"name '{kind.name}'", where=where, expected="an identifier, and at least one parameter")
-    points = {law.point for law in kind.laws}
-    if kind.per_joint and points & {Point.ARM_TORQUE, Point.SUPPLY_SHARE, Point.DELAY}:
+    if kind.per_joint and {law.point for law in kind.laws} & {Point.ARM_TORQUE, Point.SUPPLY_SHARE, Point.DELAY}:
         raise ParameterError("a law of the whole arm", where=where, expected="per_joint=False with it")
     return kind
 
 
 def _of_entry_points() -> Iterator[Kind]:
     for entry in entry_points(group=_GROUP):
-        try:
+        where = f"entry point {entry.name}"
+        with _importing(where, "an importable effect"):
             found = entry.load()
-        except Exception as error:
-            raise ParameterError(
-                f"{type(error).__name__}: {error}", where=f"entry point {entry.name}", expected="an importable effect"
-            ) from error
         file = getattr(sys.modules.get(entry.module), "__file__", None)
         if file:
             add_source(Path(file))
-        yield _checked(getattr(found, "EFFECT", found), f"entry point {entry.name}")
+        yield _checked(getattr(found, "EFFECT", found), where)
 
 
 def _from_environment() -> Iterator[Kind]:
     for path in filter(None, os.environ.get(VARIABLE, "").split(os.pathsep)):
-        _LOADED.add(str(Path(path).expanduser().resolve()))
+        _LOADED.add(_resolved(path))
         yield _of_file(path)
 
 
 def _related(kinds: list[Kind]) -> dict[str, Kind]:
     """Effects by name, in order, with the look-alikes and special cases of both sides."""
-    found: dict[str, Kind] = {}
-    for kind in sorted(kinds, key=lambda kind: kind.order):
-        if kind.name in found:
-            raise ParameterError(f"effect {kind.name} is defined twice", expected="each name once")
-        found[kind.name] = kind
+    found = {kind.name: kind for kind in sorted(kinds, key=lambda kind: kind.order)}
+    for name, count in Counter(kind.name for kind in kinds).items():
+        if count > 1:
+            raise ParameterError(f"effect {name} is defined twice", expected="each name once")
     pairs = list(LOOK_ALIKES)
     pairs += [(kind.name, pair.other, pair.mine, pair.its) for kind in found.values() for pair in kind.look_alikes]
     table: dict[str, list[LookAlike]] = {name: [] for name in found}
@@ -148,21 +152,18 @@ def load_effects(paths: Iterable[str | os.PathLike[str]]) -> None:
     ------
     ParameterError : a file without a usable ``EFFECT``, a name twice, or a kernel that has been built already.
     """
-    files = [str(Path(path).expanduser().resolve()) for path in paths]
-    files = [file for file in dict.fromkeys(files) if file not in _LOADED]
+    files = [file for file in dict.fromkeys(map(_resolved, paths)) if file not in _LOADED]
     if not files:
         return
     if "puma_sim_core.dynamics.laws" in sys.modules:
-        raise ParameterError(
-            f"effects of {', '.join(files)}", expected="to be loaded before anything is simulated: the kernel is built"
-        )
+        expected = "to be loaded before anything is simulated: the kernel is built"
+        raise ParameterError(f"effects of {', '.join(files)}", expected=expected)
     combined = _related([*KINDS.values(), *map(_of_file, files)])
     KINDS.clear()
     KINDS.update(combined)
     _place()
     _LOADED.update(files)
-    before = os.environ.get(VARIABLE)
-    os.environ[VARIABLE] = os.pathsep.join([*([before] if before else []), *files])
+    os.environ[VARIABLE] = os.pathsep.join(filter(None, [os.environ.get(VARIABLE), *files]))
 
 
 def named(name: str) -> Kind:
@@ -181,13 +182,8 @@ def slot(kind: Kind) -> int:
 
 def laws(point: Point) -> list[tuple[Callable[..., Any], int]]:
     """(function, place of its effect's first parameter) of the laws at a point, in their order."""
-    found = [
-        (law.order, n, law.function, _PLACES[kind.name])
-        for n, kind in enumerate(KINDS.values())
-        for law in kind.laws
-        if law.point is point
-    ]
-    return [(function, place) for _, _, function, place in sorted(found, key=lambda each: each[:2])]
+    found = [(law, slot(kind)) for kind in KINDS.values() for law in kind.laws if law.point is point]
+    return [(law.function, place) for law, place in sorted(found, key=lambda each: each[0].order)]
 
 
 def memories() -> list[tuple[Callable[..., Any], Callable[..., Any], int]]:
@@ -202,42 +198,32 @@ def parse_effect(text: str) -> Effect:
     ------
     ParameterError : names the part of the text that cannot be used.
     """
+    where = f"effect '{text}'"
     name, _, rest = text.strip().partition(":")
     if name not in KINDS:
-        raise ParameterError(
-            f"unknown effect '{name}'", where=f"effect '{text}'", expected=f"one of {', '.join(KINDS)}"
-        )
-    joint: int | None = None
+        raise ParameterError(f"unknown effect '{name}'", where=where, expected=f"one of {', '.join(KINDS)}")
     values: dict[str, float] = {}
     for item in filter(None, rest.split(",")):
         key, equals, value = (part.strip() for part in item.partition("="))
         if not equals or not key or not value:
-            raise ParameterError(f"'{item}'", where=f"effect '{text}'", expected="key=value")
-        if key in values or (key == "joint" and joint is not None):
-            raise ParameterError(f"'{key}' is given twice", where=f"effect '{text}'", expected="each once")
+            raise ParameterError(f"'{item}'", where=where, expected="key=value")
+        if key in values:
+            raise ParameterError(f"'{key}' is given twice", where=where, expected="each once")
         try:
-            if key == "joint":
-                joint = int(value)
-            else:
-                values[key] = float(value)
+            values[key] = int(value) if key == "joint" else float(value)
         except ValueError:
-            raise ParameterError(
-                f"{key}={value}", where=f"effect '{text}'", expected="joint=1, 2 or 3" if key == "joint" else "a number"
-            ) from None
-    return Effect(KINDS[name], joint, values)
+            expected = "joint=1, 2 or 3" if key == "joint" else "a number"
+            raise ParameterError(f"{key}={value}", where=where, expected=expected) from None
+    joint = values.pop("joint", None)
+    return Effect(KINDS[name], None if joint is None else int(joint), values)
 
 
 def check_distinct(effects: Iterable[Effect]) -> None:
     """Raise ParameterError where the same effect stands twice on one joint."""
-    seen = set()
-    for effect in effects:
-        key = (effect.kind.name, effect.joint)
-        if key in seen:
-            place = "the arm" if effect.joint is None else f"joint {effect.joint}"
-            raise ParameterError(
-                f"effect {effect.kind.name} stands twice on {place}", expected="each kind once a joint"
-            )
-        seen.add(key)
+    for (name, joint), count in Counter((effect.kind.name, effect.joint) for effect in effects).items():
+        if count > 1:
+            place = "the arm" if joint is None else f"joint {joint}"
+            raise ParameterError(f"effect {name} stands twice on {place}", expected="each kind once a joint")
 
 
 def pack(effects: Iterable[Effect]) -> list[float]:
@@ -264,14 +250,10 @@ def vanishes(effect: Effect) -> bool:
 
 
 def active_stages(effects: Iterable[Effect]) -> int:
-    """Bit mask of the kernel's optional stages that these effects need.
-
-    A joint whose dry friction acts through a bristle never sticks and slips.
-    """
-    effects = tuple(effects)
+    """Bit mask of the kernel's optional stages that these effects need."""
+    effects, mask = tuple(effects), 0
     bristled = {effect.joint for effect in effects if effect.kind.has_bristle}
-    mask = 0
     for effect in effects:
-        stage = effect.kind.stage
-        mask |= stage & ~int(Stage.DRY) if effect.joint in bristled else stage
+        # a joint whose dry friction acts through a bristle never sticks and slips
+        mask |= effect.kind.stage & (~int(Stage.DRY) if effect.joint in bristled else -1)
     return mask

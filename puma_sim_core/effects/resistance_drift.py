@@ -2,25 +2,18 @@
 # Copyright the puma-sim contributors
 """A winding whose resistance grows as it gets warm."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
 from math import exp
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from puma_sim_core.effects.base import CURRENT, VOLTAGE_DRIVE, Kind, Law, Needs, Parameter, Point, Role
-from puma_sim_core.effects.screening import VOLTAGE_COLUMN, Candidate, Screening, Signals
-from puma_sim_core.effects.shared.columns import positive, warming
-from puma_sim_core.jit import inlined
-
-if TYPE_CHECKING:
-    pass
+from puma_sim_core.effects.base import CURRENT, RATE, SIZE, VOLTAGE_DRIVE, Kind, Law, Needs, Parameter, Point
+from puma_sim_core.effects.screening import VOLTAGE_COLUMN, ByJoint, Candidate, Screening, Signals, Values
+from puma_sim_core.effects.shared.columns import grown, positive, sized, warming
+from puma_sim_core.jit import Table, inlined
 
 
 @inlined
-def resistance_growth(p, k, time):
+def resistance_growth(p: Table, k: int, time: float) -> float:
     """Factor of the resistance after `time` [s]; 1 before 0."""
     return 1.0 + p[k] * (1.0 - exp(-max(time, 0.0) / p[k + 1]))
 
@@ -28,19 +21,14 @@ def resistance_growth(p, k, time):
 def drift(signals: Signals, joint: int) -> list[Candidate]:
     """k tau (1 - exp(-t/T)) for a grid of T; the coefficient is the share by which R grows."""
     volts = signals.volts_per_torque[joint] * signals.torque[:, joint]
-
-    def values(c, T):
-        return {"share": positive(c[0], "growth of the resistance", "", 3.0), "time_constant": T}
-
-    return warming(signals, joint, volts, values, [0.2], [0.2], VOLTAGE_COLUMN)
+    values = sized("share", positive, "growth of the resistance", "", 3.0)
+    return warming(signals, joint, volts, values, (0.2, 0.2), VOLTAGE_COLUMN)
 
 
-def known_voltage(
-    signals: Signals, joint: int, values: Mapping[str, float], torque: np.ndarray
-) -> dict[int, np.ndarray]:
+def known_voltage(signals: Signals, joint: int, values: Values, torque: np.ndarray) -> ByJoint:
     """Voltage [V] that the grown resistance takes along a measured motion."""
-    grown = -values["share"] * np.expm1(-signals.time / values["time_constant"])
-    return {joint: grown * signals.volts_per_torque[joint] * torque[:, joint]}
+    share = values["share"] * grown(signals, values["time_constant"])
+    return {joint: share * signals.volts_per_torque[joint] * torque[:, joint]}
 
 
 EFFECT = Kind(
@@ -50,17 +38,13 @@ EFFECT = Kind(
     equation="R(t) = R (1 + share (1 - exp(-t/T)))",
     sentence="The winding's resistance grows as the motor gets warm; at time 0 it is cold.",
     parameters=(
-        Parameter("share", "1", 0.0, 3.0, "growth of R in the end", plausible=(0.05, 0.5)),
-        Parameter(
-            "time_constant", "s", 0.01, 1e5, "T", neutral=1.0, role=Role.RATE, plausible=(1.0, 600.0), logarithmic=True
-        ),
+        Parameter("share", "1", 0.0, 3.0, "growth of R in the end", SIZE, (0.05, 0.5)),
+        Parameter("time_constant", "s", 0.01, 1e5, "T", RATE, (1.0, 600.0), neutral=1.0),
     ),
     laws=(Law(Point.RESISTANCE_FACTOR, resistance_growth),),
     needs=Needs(VOLTAGE_DRIVE, "a motor on voltage"),
     known_voltage=known_voltage,
-    screening=Screening(
-        drift, excitation="Long holds against gravity, and the same motion at the beginning and the end."
-    ),
+    screening=Screening(drift, "Long holds against gravity, and the same motion at the beginning and the end."),
     drawn_against=("time",),
     example="resistance_drift:joint=2,share=0.3,time_constant=120",
 )

@@ -2,48 +2,25 @@
 # Copyright the puma-sim contributors
 """A sensor with a lag of first order."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
-import numpy as np
-
-from puma_sim_core.effects.base import SENSING, Kind, Law, Parameter, Point, Role
-from puma_sim_core.effects.screening import VOLTAGE_COLUMN, Candidate, Screening, Signals
-from puma_sim_core.effects.shared.columns import candidate, change_of_voltage, derivative, moves, positive
-from puma_sim_core.jit import inlined
-
-if TYPE_CHECKING:
-    pass
+from puma_sim_core.effects.base import RATE, SENSING, Kind, Law, Parameter, Point
+from puma_sim_core.effects.screening import VOLTAGE_COLUMN, ByJoint, Candidate, Screening, Signals
+from puma_sim_core.effects.shared.columns import candidate, derivative, positive, sized, when_moving
+from puma_sim_core.effects.shared.laws import first
+from puma_sim_core.effects.shared.motion import change_of_voltage
 
 
-@inlined
-def time_constant(p, k):
-    """Time constant [s]."""
-    return p[k]
-
-
+@when_moving
 def lag(signals: Signals, joint: int) -> list[Candidate]:
-    """Change of the voltage per second of lag: q = m + T dm/dt, exact for every T but for the
-    small change of the rigid body's torques."""
-    if not moves(signals, joint):
-        return []
-    velocity, acceleration = signals.velocity[:, joint], signals.acceleration[:, joint]
-    column = change_of_voltage(signals, joint, velocity, acceleration, derivative(acceleration, signals))
-
-    def values(c):
-        return {"time_constant": positive(c[0], "lag", "s", 0.1)}
-
-    return [candidate([column], [0.006], [0.008], values, unit=VOLTAGE_COLUMN)]
+    """Change of the voltage per second of lag: q = m + T dm/dt, exact for every T but for the small change of the rigid
+    body's torques."""
+    values = sized("time_constant", positive, "lag", "s", 0.1)
+    return [candidate([_ahead(signals, joint, 1.0)], [0.006], [0.008], values, unit=VOLTAGE_COLUMN)]
 
 
-def known_voltage(
-    signals: Signals, joint: int, values: Mapping[str, float], torque: np.ndarray
-) -> dict[int, np.ndarray]:
-    """Change of the model's voltage [V] by what the sensor makes of the position."""
-    qd, qdd, T = signals.velocity[:, joint], signals.acceleration[:, joint], values["time_constant"]
-    return change_of_voltage(signals, joint, T * qd, T * qdd, T * derivative(qdd, signals))
+def _ahead(signals: Signals, joint: int, T: float) -> ByJoint:
+    """Change of the voltage by a motion that is T [s] times its rate ahead of the measured one."""
+    qd, qdd = signals.velocity[:, joint], signals.acceleration[:, joint]
+    return change_of_voltage(signals, joint, (T * qd, T * qdd, T * derivative(qdd, signals)))
 
 
 EFFECT = Kind(
@@ -52,12 +29,12 @@ EFFECT = Kind(
     acts=SENSING,
     equation="T dm/dt = q - m, m the measured position",
     sentence="The measured position follows the true one with a lag of first order.",
-    parameters=(Parameter("time_constant", "s", 0.0, 10.0, "T", role=Role.RATE, plausible=(0.001, 0.035)),),
-    laws=(Law(Point.SENSOR_LAG, time_constant),),
+    parameters=(Parameter("time_constant", "s", 0.0, 10.0, "T", RATE, (0.001, 0.035)),),
+    laws=(Law(Point.SENSOR_LAG, first),),
     feigned=True,
     fine=True,
-    known_voltage=known_voltage,
-    screening=Screening(lag, excitation="A dither above a third of the cut-off frequency.", fast=True),
+    known_voltage=lambda signals, joint, values, _: _ahead(signals, joint, values["time_constant"]),
+    screening=Screening(lag, "A dither above a third of the cut-off frequency.", fast=True),
     drawn_against=("voltage_rate", "acceleration"),
     example="sensor_lag:joint=1,time_constant=0.01",
 )

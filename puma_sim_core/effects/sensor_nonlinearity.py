@@ -2,40 +2,24 @@
 # Copyright the puma-sim contributors
 """A sensor whose error is periodic in the position."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
 from math import cos, pi, sin
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from puma_sim_core.effects.base import SENSING, Kind, Law, Parameter, Point, Role
-from puma_sim_core.effects.screening import VOLTAGE_COLUMN, Candidate, Illegal, Screening, Signals
-from puma_sim_core.effects.shared.columns import (
-    candidate,
-    change_of_voltage,
-    moves,
-    slow_enough,
-    visible,
-    wave_motion,
-    wave_numbers,
-    whole_range,
-)
-from puma_sim_core.jit import inlined
-
-if TYPE_CHECKING:
-    pass
+from puma_sim_core.effects.base import PLACE, SENSING, SIZE, Kind, Law, Parameter, Point
+from puma_sim_core.effects.screening import VOLTAGE_COLUMN, ByJoint, Candidate, Illegal, Screening, Signals, Values
+from puma_sim_core.effects.shared.columns import candidate, polar, visible, when_moving, whole_range
+from puma_sim_core.effects.shared.motion import Motion, change_of_voltage, wave_motion, wave_motions, wave_numbers
+from puma_sim_core.jit import Table, inlined
 
 #: greatest and least period of a sensor's error, in ranges of the joint: 6 and 0.3 rad on the arm
 _LONGEST, _SHORTEST = 1.1, 0.055
-
 #: a sensor's error in ranges of the joint: 0.1 % of it
 _ERROR = 1e-3
 
 
 @inlined
-def wave_error(p, k, q):
+def wave_error(p: Table, k: int, q: float) -> float:
     """Measured less true position [rad] at q [rad]."""
     if p[k] == 0.0:
         return 0.0
@@ -43,7 +27,7 @@ def wave_error(p, k, q):
 
 
 @inlined
-def wave_slope(p, k, q):
+def wave_slope(p: Table, k: int, q: float) -> float:
     """Derivative of `wave_error` by q."""
     if p[k] == 0.0:
         return 0.0
@@ -51,47 +35,36 @@ def wave_slope(p, k, q):
     return p[k] * turn * cos(turn * q + p[k + 2])
 
 
+@when_moving
 def nonlinearity(signals: Signals, joint: int) -> list[Candidate]:
     """Change of the voltage by sin(2 pi q / P) and cos(2 pi q / P) too much, for a grid of P."""
-    if not moves(signals, joint):
-        return []
     low, high = whole_range(signals, joint)
     unit = _ERROR * (high - low)
-    q, qd = signals.position[:, joint], signals.velocity[:, joint]
-    found = []
-    for number in wave_numbers(
-        signals, joint, 2.0 * np.pi / (_LONGEST * (high - low)), 2.0 * np.pi / (_SHORTEST * (high - low)), drift=0.65
-    ):
-        if not slow_enough(signals, joint, number):
-            continue
-        period = float(2.0 * np.pi / number)
+    lowest, highest = (2.0 * np.pi / (share * (high - low)) for share in (_LONGEST, _SHORTEST))
 
-        def values(c, period=period):
-            amplitude = float(np.hypot(c[0], c[1]))
-            if amplitude > 20.0 * unit or 2.0 * np.pi * amplitude >= period:
-                raise Illegal(f"error {amplitude:.3g} rad of a sensor with period {period:.3g} rad")
-            return {"amplitude": amplitude, "period": period, "phase": float(np.arctan2(c[1], c[0]))}
+    def values(c: np.ndarray, period: float) -> dict[str, float]:
+        amplitude, phase = polar(c[0], c[1])
+        if amplitude > 20.0 * unit or 2.0 * np.pi * amplitude >= period:
+            raise Illegal(f"error {amplitude:.3g} rad of a sensor with period {period:.3g} rad")
+        return {"amplitude": amplitude, "period": period, "phase": phase}
 
-        columns = [
-            change_of_voltage(signals, joint, *(-part for part in motion))
-            for motion in wave_motion(q, qd, signals.acceleration[:, joint], number)
-        ]
-        if visible(tuple(columns)):
-            found.append(candidate(columns, [0.0, 0.0], [unit, unit], values, {"period": period}, VOLTAGE_COLUMN))
-    return found
+    def at(number: float) -> Candidate:
+        columns = [_less(signals, joint, motion) for motion in wave_motions(signals, joint, number)]
+        return candidate(columns, [0.0, 0.0], [unit, unit], values, {"period": 2.0 * np.pi / number}, VOLTAGE_COLUMN)
+
+    return visible(at(number) for number in wave_numbers(signals, joint, lowest, highest, drift=0.65))
 
 
-def known_voltage(
-    signals: Signals, joint: int, values: Mapping[str, float], torque: np.ndarray
-) -> dict[int, np.ndarray]:
+def known_voltage(signals: Signals, joint: int, values: Values, torque: np.ndarray) -> ByJoint:
     """Change of the model's voltage [V] by what the sensor makes of the position."""
-    q, qd, qdd = (each[:, joint] for each in (signals.position, signals.velocity, signals.acceleration))
-    n, a = 2.0 * np.pi / values["period"], values["amplitude"]
-    angle = n * q + values["phase"]
-    rate = -a * n * np.cos(angle) * qd
-    return change_of_voltage(
-        signals, joint, -a * np.sin(angle), rate, a * n * (n * np.sin(angle) * qd**2 - np.cos(angle) * qdd)
-    )
+    number = 2.0 * np.pi / values["period"]
+    return _less(signals, joint, wave_motion(signals, joint, values["amplitude"], number, values["phase"]))
+
+
+def _less(signals: Signals, joint: int, motion: Motion) -> ByJoint:
+    """Change of the voltage by a motion less than the measured one."""
+    dq, dqd, dqdd = motion
+    return change_of_voltage(signals, joint, (-dq, -dqd, -dqdd))
 
 
 EFFECT = Kind(
@@ -101,11 +74,9 @@ EFFECT = Kind(
     equation="m = q + a sin(2 pi q / period + phase)",
     sentence="The sensor is not straight: the same place is always measured wrong by the same.",
     parameters=(
-        Parameter("amplitude", "rad", 0.0, 1.0, "a", plausible=(0.0002, 0.02)),
-        Parameter(
-            "period", "rad", 1e-4, 100.0, "of the error in q", neutral=1.0, role=Role.PLACE, plausible=(0.3, 7.0)
-        ),
-        Parameter("phase", "rad", -10.0, 10.0, "at q = 0", default=0.0, role=Role.PLACE),
+        Parameter("amplitude", "rad", 0.0, 1.0, "a", SIZE, (0.0002, 0.02)),
+        Parameter("period", "rad", 1e-4, 100.0, "of the error in q", PLACE, (0.3, 7.0), neutral=1.0),
+        Parameter("phase", "rad", -10.0, 10.0, "at q = 0", PLACE, default=0.0),
     ),
     laws=(Law(Point.SENSOR_ERROR, wave_error), Law(Point.SENSOR_SLOPE, wave_slope)),
     check=lambda values: (
@@ -114,7 +85,7 @@ EFFECT = Kind(
         else "amplitude below period / (2 pi): a sensor that grows with the position"
     ),
     known_voltage=known_voltage,
-    screening=Screening(nonlinearity, excitation="The same places at different speeds."),
+    screening=Screening(nonlinearity, "The same places at different speeds."),
     drawn_against=("position",),
     example="sensor_nonlinearity:joint=2,amplitude=0.002,period=3",
 )

@@ -2,79 +2,48 @@
 # Copyright the puma-sim contributors
 """A gear that is not round."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from puma_sim_core.effects.base import TRANSMISSION, Kind, Parameter, Role, Train
-from puma_sim_core.effects.screening import VOLTAGE_COLUMN, Candidate, Illegal, Screening, Signals
-from puma_sim_core.effects.shared.columns import (
-    candidate,
-    change_of_voltage,
-    is_arm,
-    moves,
-    slow_enough,
-    torque_volts,
-    visible,
-    wave_motion,
-    wave_numbers,
-)
-
-if TYPE_CHECKING:
-    pass
+from puma_sim_core.effects.base import PLACE, SIZE, TRANSMISSION, Kind, Parameter, Train
+from puma_sim_core.effects.screening import VOLTAGE_COLUMN, ByJoint, Candidate, Illegal, Screening, Signals, Values
+from puma_sim_core.effects.shared.columns import candidate, of_travel, polar, torque_volts, visible, when_moving
+from puma_sim_core.effects.shared.motion import Motion, change_of_voltage, wave_motion, wave_motions, wave_numbers
 
 #: orders of a gear's error in a turn of the joint, and their usual amplitude [rad]
 _ORDERS, _ERROR = (1.0, 40.0), 4e-4
 
 
+@when_moving
 def transmission_error(signals: Signals, joint: int) -> list[Candidate]:
     """Change of the voltage by a link at q + sin(n q) and at q + cos(n q), for a grid of n."""
-    if not moves(signals, joint):
-        return []
-    unit = _ERROR if is_arm(signals) else _ERROR * min(1.0, float(np.ptp(signals.position[:, joint])))
-    q, qd = signals.position[:, joint], signals.velocity[:, joint]
-    link = signals.link_torque[:, joint]
-    found = []
-    for order in wave_numbers(signals, joint, *_ORDERS):
-        if not slow_enough(signals, joint, order):
-            continue
-        columns = []
-        for n, (dq, dqd, dqdd) in enumerate(wave_motion(q, qd, signals.acceleration[:, joint], order)):
-            column = change_of_voltage(signals, joint, dq, dqd, dqdd, motor=False)
-            slope = order * (np.cos(order * q) if n == 0 else -np.sin(order * q))
-            column[joint] = column[joint] + torque_volts(signals, joint, slope * link)
-            columns.append(column)
+    unit, q = _ERROR * of_travel(signals, joint), signals.position[:, joint]
 
-        def values(c, order=float(order)):
-            amplitude = float(np.hypot(c[0], c[1]))
-            if amplitude > 25.0 * unit or amplitude * order >= 0.5:
-                raise Illegal(f"error {amplitude:.3g} rad of a gear of order {order:.3g}")
-            return {"amplitude": amplitude, "order": order, "phase": float(np.arctan2(c[1], c[0]))}
+    def values(c: np.ndarray, order: float) -> dict[str, float]:
+        amplitude, phase = polar(c[0], c[1])
+        if amplitude > 25.0 * unit or amplitude * order >= 0.5:
+            raise Illegal(f"error {amplitude:.3g} rad of a gear of order {order:.3g}")
+        return {"amplitude": amplitude, "order": order, "phase": phase}
 
-        if visible(tuple(columns)):
-            found.append(candidate(columns, [0.0, 0.0], [unit, unit], values, {"order": float(order)}, VOLTAGE_COLUMN))
-    return found
+    def at(n: float) -> Candidate:
+        slopes = n * np.cos(n * q), n * -np.sin(n * q)
+        columns = [_cost(signals, joint, *wave) for wave in zip(wave_motions(signals, joint, n), slopes)]
+        return candidate(columns, [0.0, 0.0], [unit, unit], values, {"order": n}, VOLTAGE_COLUMN)
+
+    return visible(map(at, wave_numbers(signals, joint, *_ORDERS)))
 
 
-def known_voltage(
-    signals: Signals, joint: int, values: Mapping[str, float], torque: np.ndarray
-) -> dict[int, np.ndarray]:
+def known_voltage(signals: Signals, joint: int, values: Values, torque: np.ndarray) -> ByJoint:
     """Voltage [V] that the gear's error makes along a measured motion."""
-    q, qd, qdd = (each[:, joint] for each in (signals.position, signals.velocity, signals.acceleration))
-    n, e, angle = values["order"], values["amplitude"], values["order"] * q + values["phase"]
-    dq, dqd = e * np.sin(angle), e * n * np.cos(angle) * qd
-    dqdd = e * n * (np.cos(angle) * qdd - n * np.sin(angle) * qd**2)
-    found = change_of_voltage(signals, joint, dq, dqd, dqdd, motor=False)
-    found[joint] = found[joint] + torque_volts(signals, joint, e * n * np.cos(angle) * signals.link_torque[:, joint])
+    error = e, n, f = values["amplitude"], values["order"], values["phase"]
+    slope = e * n * np.cos(n * signals.position[:, joint] + f)
+    return _cost(signals, joint, wave_motion(signals, joint, *error), slope)
+
+
+def _cost(signals: Signals, joint: int, error: Motion, slope: np.ndarray) -> ByJoint:
+    """Voltages of a link that leads its motor by an error, and of its torque, which the slope of the error reflects."""
+    found = change_of_voltage(signals, joint, error, motor=False)
+    found[joint] = found[joint] + torque_volts(signals, joint, slope * signals.link_torque[:, joint])
     return found
-
-
-def train(values: Mapping[str, float]) -> Train:
-    """A gear whose output is at q + e sin(n q + f)."""
-    return Train(wave=(values["amplitude"], values["order"], values["phase"]))
 
 
 EFFECT = Kind(
@@ -85,24 +54,16 @@ EFFECT = Kind(
     sentence="A gear that is not round: the link leads and trails the motor as it turns, and the "
     "arm's inertia and weight push back through it.",
     parameters=(
-        Parameter("amplitude", "rad", 0.0, 0.05, "e", plausible=(5e-5, 3e-3)),
+        Parameter("amplitude", "rad", 0.0, 0.05, "e", SIZE, (5e-5, 3e-3)),
         Parameter(
-            "order",
-            "1",
-            0.0,
-            1000.0,
-            "n, periods in a turn of the joint",
-            default=1.0,
-            role=Role.PLACE,
-            plausible=(1.0, 40.0),
-            step=1.0,
+            "order", "1", 0.0, 1000.0, "n, periods in a turn of the joint", PLACE, (1.0, 40.0), default=1.0, step=1.0
         ),
-        Parameter("phase", "rad", -10.0, 10.0, "f", default=0.0, role=Role.PLACE),
+        Parameter("phase", "rad", -10.0, 10.0, "f", PLACE, default=0.0),
     ),
-    train=train,
+    train=lambda values: Train(wave=(values["amplitude"], values["order"], values["phase"])),
     vanishes=lambda values: values["amplitude"] == 0.0,
     known_voltage=known_voltage,
-    screening=Screening(transmission_error, excitation="The same range at two speeds, with load.", fast=True),
+    screening=Screening(transmission_error, "The same range at two speeds, with load.", fast=True),
     drawn_against=("position",),
     example="transmission_error:joint=1,amplitude=4e-4,order=8",
 )

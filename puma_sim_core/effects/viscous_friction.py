@@ -4,13 +4,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from puma_sim_core.effects.base import TORQUE, Kind, Parameter
-
-if TYPE_CHECKING:
-    pass
-
 
 EFFECT = Kind(
     name="viscous_friction",

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""Closing the loop with measured data: from a residual to the effect that the model lacks.
+"""Identification: from measured logs to the effect that the model lacks.
 
 ``explain(logs, ...)`` gives an `Explanation`; the command is ``puma-sim explain``.
 """

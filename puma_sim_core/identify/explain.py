@@ -9,12 +9,12 @@ import time as clock
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from puma_sim_core import __version__
 from puma_sim_core.errors import RecordingError
+from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.checks import feedback
 from puma_sim_core.identify.checks.gate import check
 from puma_sim_core.identify.checks.wrong_zero import wrong_zeros
@@ -27,11 +27,12 @@ from puma_sim_core.identify.outcome import Findings, compose, fault_sentence
 from puma_sim_core.identify.prepare import Prepared, prepare, silent
 from puma_sim_core.identify.residuals.shape import Curve
 from puma_sim_core.identify.residuals.unnamed import Unnamed, remainder
-from puma_sim_core.identify.result import DATA_FAULT, Detectable, Errors, Explanation, Fault, FeedbackBias
+from puma_sim_core.identify.result import DATA_FAULT, Detectable, Errors, Explanation, FeedbackBias
 from puma_sim_core.identify.screening.causal import CausalScreen
 from puma_sim_core.identify.screening.detect import detectable
+from puma_sim_core.identify.screening.hypotheses import candidates, hypotheses
 from puma_sim_core.identify.screening.short_list import ShortList
-from puma_sim_core.identify.selection.cross_validation import CrossValidation, WeightedModel
+from puma_sim_core.identify.selection.cross_validation import CrossValidation
 from puma_sim_core.identify.selection.selection import Selection
 from puma_sim_core.identify.selection.state import SelectionState
 from puma_sim_core.identify.selection.validate import rms
@@ -78,42 +79,34 @@ def explain(
     progress = progress or silent
     mechanism = load_mechanism(plant, parameters=parameters, model=model)
     progress("reading", 0.0)
-    fitted, kept = (_logs(given, columns, mechanism.joints) for given in (logs, held_out))
+    fitted, validation = (_logs(given, columns, mechanism.joints) for given in (logs, held_out))
     if not fitted:
         raise RecordingError("no log", where="explain", expected="one at least")
-    common: dict[str, Any] = {
-        "mechanism": mechanism.name,
-        "logs": tuple(log.name for log in fitted),
-        "held_out_logs": tuple(log.name for log in kept),
-        "version": __version__,
-        "seed": seed,
-        "position_unit": mechanism.position_unit,
-    }
     faults, notes = [], []
-    for log in (*fitted, *kept):
-        found, said = check(log, mechanism)
+    for log in (*fitted, *validation):
+        found, seen = check(log, mechanism)
         faults += found
-        # what is so of several logs is said once
-        notes += [note for note in said if note not in notes]
+        notes += [note for note in seen if note not in notes]
     if not faults:
-        stages = Stages(prepare(fitted, kept, mechanism, progress), seed, progress)
+        stages = Stages(prepare(fitted, validation, mechanism, progress), seed, progress)
         state = stages.select()
         faults = wrong_zeros(state.history)
     if faults:
-        explanation = _fault(faults, notes, common)
+        explanation = Explanation(DATA_FAULT, fault_sentence(faults), faults=tuple(faults))
     else:
-        state = stages.validate(state)
-        state, curves, chance = stages.free_curves(state)
-        detectability = stages.detectability(state)
-        residuals, errors = stages.errors(state)
-        bias = stages.feedback_bias(state)
-        bounds = intervals.intervals(stages.fit(state), state.model)
         source = {"plant": str(plant), "parameters": parameters, "model": None if model is None else str(model)}
-        findings = Findings(
-            stages.prepared, state, curves, chance, errors, residuals, detectability, bias, bounds, source
-        )
-        explanation = compose(findings, notes, common)
-    return replace(explanation, seconds=clock.perf_counter() - begin)
+        explanation = compose(stages.findings(stages.validate(state), source))
+    return replace(
+        explanation,
+        mechanism=mechanism.name,
+        logs=tuple(log.name for log in fitted),
+        held_out_logs=tuple(log.name for log in validation),
+        version=__version__,
+        seed=seed,
+        position_unit=mechanism.position_unit,
+        notes=(*notes, *explanation.notes),
+        seconds=clock.perf_counter() - begin,
+    )
 
 
 def _logs(given: Logs, columns: Mapping[str, str] | None, joints: int) -> list[Log]:
@@ -121,15 +114,8 @@ def _logs(given: Logs, columns: Mapping[str, str] | None, joints: int) -> list[L
     return [log if isinstance(log, Log) else read_log(log, columns, joints) for log in several]
 
 
-def _fault(faults: list[Fault], notes: list[str], common: Mapping[str, Any]) -> Explanation:
-    return Explanation(DATA_FAULT, fault_sentence(faults), faults=tuple(faults), notes=tuple(notes), **common)
-
-
 class Stages:
-    """The stages after the preparation of the logs.
-
-    seed : of placebos; progress : called with (what is done, share 0..1).
-    """
+    """The stages after the preparation of the logs; seed and progress as for `explain`."""
 
     def __init__(self, prepared: Prepared, seed: int, progress: Callable[[str, float], None]):
         self.prepared = prepared
@@ -138,9 +124,8 @@ class Stages:
         self.mechanism = prepared.problem.mechanism
         self.seed = seed
         self.progress = progress
-        library, bank = prepared.library, prepared.search.bank(prepared.retuned.theta)
-        short_list = ShortList(prepared.search, self.predictor, library, bank)
-        self.selection = Selection(short_list, Trials(self.predictor, self.problem), library, seed, progress)
+        short_list = ShortList(prepared.search, self.predictor, prepared.search.bank(prepared.retuned.theta))
+        self.selection = Selection(short_list, Trials(self.predictor, self.problem), prepared.library, seed, progress)
 
     def fit(self, state: SelectionState) -> PredictionFit:
         """The fit in the noise of a state."""
@@ -160,9 +145,16 @@ class Stages:
         self.progress("validating", 0.86)
         return retracted(self.selection, state, self.folds)
 
+    def findings(self, state: SelectionState, source: Mapping[str, str | None]) -> Findings:
+        """What the stages after the validation find. source : how `explain` was called."""
+        state, curves, chance = self.free_curves(state)
+        detectability = self.detectability(state)
+        residuals, errors = self.errors(state)
+        bias, bounds = self.feedback_bias(state), intervals.intervals(self.fit(state), state.model)
+        return Findings(self.prepared, state, curves, chance, errors, residuals, detectability, bias, bounds, source)
+
     def free_curves(self, state: SelectionState) -> tuple[SelectionState, list[Curve], float]:
-        """Free curves against what is left, and what chance gives any of them; effects are retracted where a curve
-        leaves clearly less than they do."""
+        """Free curves, and their gain by chance; effects are retracted where a curve leaves clearly less than they."""
         self.progress("what is left", 0.87)
         unnamed = Unnamed(self.predictor, self.problem, self.seed)
         curves, chance = unnamed.shapes(state.model)
@@ -180,56 +172,45 @@ class Stages:
         """The smallest size of each effect that the log could have shown."""
         self.progress("what could have been seen", 0.93)
         fit, model = self.fit(state), state.model
-        causal = CausalScreen(fit, model.point, model.errors, fit.white(state.derivatives), self.problem)
+        causal = CausalScreen(fit, model.point, model.errors, fit.whitened(state.derivatives), self.problem)
         rows = []
-        for name, kind in self.prepared.library.items():
-            for j in range(self.mechanism.joints) if kind.per_joint else [None]:
-                assert kind.screening is not None
-                pairs = [(c, causal.gram(c)) for c in kind.screening.candidates(causal.signals, j)]
-                joint = None if j is None else j + 1
-                row = detectable(name, joint, kind, pairs, state.history[-1].needed(joint))
-                rows.append(replace(row, unit=self.mechanism.unit(row.unit)))
+        for kind, joint in hypotheses(self.prepared.library.values(), self.mechanism.joints):
+            pairs = [(c, causal.gram(c)) for c in candidates(kind, joint, causal.signals)]
+            row = detectable(kind, joint, pairs, state.history[-1].needed(joint))
+            rows.append(replace(row, unit=self.mechanism.unit(row.unit)))
         return tuple(rows)
 
-    def errors(self, state: SelectionState) -> tuple[dict[str, np.ndarray], dict[str, Errors]]:
+    def errors(self, state: SelectionState) -> tuple[dict[str, Floats], dict[str, Errors]]:
         """(N, J) voltages [V] that the nominal, the retuned and the augmented model lack, and the tables of errors."""
         self.progress("errors", 0.96)
         p, start = self.predictor, Point(self.mechanism.start, ())
         points = {"nominal": start, "retuned": state.weighted_retuned.fitted.point, "augmented": state.model.point}
-        plants = {name: self.mechanism.plant(point.theta, point.effects) for name, point in points.items()}
+        plants = {name: point.plant(self.mechanism) for name, point in points.items()}
         residuals = {name: self._volts(point) for name, point in points.items()}
         floor = self._floor(state)
         left = np.where(p.fit_rows, p.errors(plants["augmented"]), np.nan)
         volts, sensed = p.noise_behind(np.nanvar(left, axis=0), self.problem.sampled.position_noise)
         # what a remainder leaves in the innovations is no noise, nor is all that came before a name
         noise = np.minimum(volts, p.volts), sensed
-        models: dict[str, WeightedModel | Point] = {
-            "nominal": start,
-            "retuned": state.weighted_retuned,
-            "augmented": state.weighted,
-        }
+        weighted = {"retuned": state.weighted_retuned, "augmented": state.weighted}
         fit = self.folds.folds[0].validation.errors(plants, residuals, floor, noise)
-        return residuals, {"fit": fit, **self.folds.errors(models, floor, noise)}
+        return residuals, {"fit": fit, **self.folds.errors({"nominal": start, **weighted}, floor, noise)}
 
     def feedback_bias(self, state: SelectionState) -> FeedbackBias:
         """Whether feedback in the recording biases what was found."""
-        point = state.model.point
-        linear = self.problem.linear(point.theta, point.effects)
-        return feedback.test(self.problem, self.prepared.search.settle(linear, ()))
+        linear = self.problem.linear(state.model.point.theta, state.model.point.effects)
+        return feedback.test(self.problem, self.prepared.search.settle(linear))
 
-    def _volts(self, point: Point) -> np.ndarray:
+    def _volts(self, point: Point) -> Floats:
         """(N, J) voltages [V] that a model lacks."""
-        return self.folds.folds[0].validation.volts(self.mechanism.plant(point.theta, point.effects))
+        return self.folds.folds[0].validation.volts(point.plant(self.mechanism))
 
-    def _floor(self, state: SelectionState) -> np.ndarray:
-        """(J,) noise of the residual [V]. The predictor was made for that of before the selection, when it was not
-        known what is noise and what an effect: it is less by as much as the innovations are."""
-        point = state.model.point
-        raw = self.predictor.errors(self.mechanism.plant(point.theta, point.effects))
+    def _floor(self, state: SelectionState) -> Floats:
+        """(J,) noise of the residual [V]: the predictor's, less as the selection lowered the innovations."""
+        raw = self.predictor.errors(state.model.point.plant(self.mechanism))
         raw = np.where(self.predictor.fit_rows, raw, np.nan)
         less = np.minimum(1.0, np.nanstd(raw, axis=0) / np.array(self.predictor.spread))
-        floor: np.ndarray = less * self.predictor.floor_in_volts(self.problem.sampled.cutoffs[1])
-        return floor
+        return less * self.predictor.floor_in_volts(self.problem.sampled.cutoffs[1])
 
 
 def retracted(selection: Selection, state: SelectionState, folds: CrossValidation) -> SelectionState:

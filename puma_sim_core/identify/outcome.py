@@ -1,69 +1,51 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""The verdict, and what is said of every hypothesis."""
+"""The verdict, and the explanation composed from what all stages found."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from puma_sim_core.effects import KINDS, Effect
 from puma_sim_core.effects.relations import EXACT_TIES
+from puma_sim_core.identify import result
+from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.experiment.next_experiment import next_experiment
 from puma_sim_core.identify.fitting.predictor import Predictor
-from puma_sim_core.identify.fitting.trials import Key, Trial, tied
+from puma_sim_core.identify.fitting.trials import Trial, tied
 from puma_sim_core.identify.prepare import Prepared
 from puma_sim_core.identify.residuals.shape import Curve, describe
 from puma_sim_core.identify.residuals.unnamed import remainder
-from puma_sim_core.identify.result import (
-    NAMED,
-    NAMED_WITH_REMAINDER,
-    NOTHING_MISSING,
-    UNNAMED,
-    Detectable,
-    Drawn,
-    Errors,
-    Explanation,
-    Fault,
-    FeedbackBias,
-    Hypothesis,
-    Interval,
-    NamedEffect,
-    Ranked,
-    RuledOut,
-    Shape,
-)
 from puma_sim_core.identify.selection.state import SelectionState, Stage
 from puma_sim_core.identify.settings import RESIDUALS
 from puma_sim_core.plant.mechanism import Mechanism
 
+#: signals that residuals may be drawn against
+_DRAWN = ["position", "velocity", "acceleration", "voltage", "torque", "gravity_torque", "link_torque", "current"]
+
 
 @dataclass(frozen=True)
 class Findings:
-    """What the stages found, for the explanation.
-
-    state : the selection as it ended; curves, chance : free curves, best first, and what chance gives any of them;
-    errors, residuals : tables of errors by their rows, and (N, J) voltages [V] that the "nominal", "retuned" and
-    "augmented" model lack; intervals : (effect number, parameter) -> (value, low, high); source : how `explain` was
-    called.
-    """
+    """What the stages found: the selection as it ended; free curves, best first, and their gain by chance; tables of
+    errors by their rows, and (N, J) voltages [V] that the "nominal", "retuned" and "augmented" model lack; intervals
+    (effect number, parameter) -> (value, low, high); how `explain` was called."""
 
     prepared: Prepared
     state: SelectionState
     curves: list[Curve]
     chance: float
-    errors: dict[str, Errors]
-    residuals: dict[str, np.ndarray]
-    detectability: tuple[Detectable, ...]
-    bias: FeedbackBias
+    errors: dict[str, result.Errors]
+    residuals: dict[str, Floats]
+    detectability: tuple[result.Detectable, ...]
+    bias: result.FeedbackBias
     intervals: Mapping[tuple[int, str], tuple[float, float, float]]
     source: Mapping[str, str | None]
 
 
-def fault_sentence(faults: list[Fault]) -> str:
+def fault_sentence(faults: list[result.Fault]) -> str:
     """The verdict on faulty data in one sentence."""
     first = faults[0]
     row = "" if first.row is None else f", row {first.row}"
@@ -71,23 +53,23 @@ def fault_sentence(faults: list[Fault]) -> str:
     return f"The data cannot be used: {first.channel}{row}: {first.what}{more}."
 
 
-def compose(found: Findings, notes: Sequence[str], common: Mapping[str, Any]) -> Explanation:
-    """The explanation from all stages. common : what every explanation has, by its fields."""
+def compose(found: Findings) -> result.Explanation:
+    """The explanation from all stages."""
     s, m = found.state, found.prepared.problem.mechanism
     names = _named(found)
     volts = found.errors["fit"].voltage_rms
     unnamed = remainder(s, found.curves, found.chance, np.asarray(volts.augmented) / volts.floor)
     curve = None
-    if unnamed is None:
-        verdict = NAMED if names else NOTHING_MISSING
-    else:
-        verdict = NAMED_WITH_REMAINDER if names else UNNAMED
-        best = found.curves[: RESIDUALS.ranked_curves]
-        curve = describe(unnamed, tuple((_axis_name(c), float(c.scored.gain)) for c in best))
-    ties = [(Hypothesis(e.name, e.joint), other) for e in names for other in e.tied_with]
+    verdict = result.NAMED if names else result.NOTHING_MISSING
+    if unnamed is not None:
+        verdict = result.NAMED_WITH_REMAINDER if names else result.UNNAMED
+        best = [(c, c.scored) for c in found.curves[: RESIDUALS.ranked_curves]]
+        ranked = ((f"{s.name} (joint {s.joint}) {c.way}".rstrip(), float(s.gain)) for c, s in best)
+        curve = describe(unnamed, tuple(ranked))
+    ties = [(result.Hypothesis(e.name, e.joint), other) for e in names for other in e.tied_with]
     keys = {(e.name, e.joint) for e in names}
     unseen = [d for d in found.detectability if not d.excited and (d.name, d.joint) not in keys]
-    return Explanation(
+    return result.Explanation(
         verdict,
         _sentence(verdict, names, curve, found.errors),
         names,
@@ -95,50 +77,46 @@ def compose(found: Findings, notes: Sequence[str], common: Mapping[str, Any]) ->
         curve,
         (),
         found.detectability,
-        next_experiment(m, ties, unseen, common["logs"][0], **found.source),
+        next_experiment(m, ties, unseen, found.prepared.logs[0].name, **found.source),
         found.bias,
         _ranking(s, names),
-        (*notes, *_exact_ties(names), *_strained(m, s)),
+        (*_exact_ties(names), *_strained(m, s)),
         _drawn(found),
-        m.plant(s.model.point.theta, s.model.point.effects),
+        s.model.point.plant(m),
         parameters=_parameters(m, s),
-        **common,
     )
 
 
-def _named(found: Findings) -> tuple[NamedEffect, ...]:
+def _named(found: Findings) -> tuple[result.NamedEffect, ...]:
     s, named = found.state, []
     for number, (key, chosen) in enumerate(zip(s.keys, s.chosen)):
         effect = s.model.point.effects[number]
         units = {p.name: found.prepared.problem.mechanism.unit(p.unit) for p in effect.kind.parameters}
         parameters = {}
         for name, value in effect.values.items():
-            if (number, name) in found.intervals:
-                value, low, high = found.intervals[number, name]
-                parameters[name] = Interval(float(value), float(low), float(high), units[name])
-            elif np.isfinite(value) and _asked(effect, name):
-                parameters[name] = Interval(float(value), float(value), float(value), units[name])
+            if (number, name) in found.intervals or (np.isfinite(value) and _asked(effect, name)):
+                middle, low, high = map(float, found.intervals.get((number, name), (value, value, value)))
+                parameters[name] = result.Interval(middle, low, high, units[name])
         own, ties, out = chosen.trial, [], []
         for t in chosen.stage.trials:
             if t.key == key or t.key in s.keys:
                 continue
             if t.problem is None and tied(own, t):
-                ties.append(Hypothesis(t.name, t.joint))
+                ties.append(result.Hypothesis(t.name, t.joint))
             else:
-                out.append(RuledOut(t.name, t.joint, _because(key[0], t, own)))
+                out.append(result.RuledOut(t.name, t.joint, _because(key[0], t, own)))
         seen = {(t.name, t.joint) for t in chosen.stage.trials}
         for other, text, _ in KINDS[key[0]].look_alikes:
             joint = key[1] if other in KINDS and KINDS[other].per_joint else None
             if other in KINDS and (other, joint) not in seen and (other, joint) not in s.keys:
-                out.append(RuledOut(other, joint, f"the screening gave it no evidence; {text}"))
-        named.append(NamedEffect(key[0], key[1], parameters, float(own.gain), tuple(ties), tuple(out)))
+                out.append(result.RuledOut(other, joint, f"the screening gave it no evidence; {text}"))
+        named.append(result.NamedEffect(key[0], key[1], parameters, float(own.gain), tuple(ties), tuple(out)))
     return tuple(named)
 
 
 def _asked(effect: Effect, name: str) -> bool:
     """Whether a parameter that is not fitted says something: not a default of the structure."""
-    spec = next(p for p in effect.kind.parameters if p.name == name)
-    return spec.from_arm is None and name != "motor_share"
+    return effect.kind.parameter(name).from_arm is None and name != "motor_share"
 
 
 def _because(named: str, trial: Trial, best: Trial) -> str:
@@ -149,30 +127,22 @@ def _because(named: str, trial: Trial, best: Trial) -> str:
     return f"{lower}: {text}" if text else lower
 
 
-def _axis_name(curve: Curve) -> str:
-    return f"{curve.scored.name} (joint {curve.scored.joint}) {curve.way}".rstrip()
-
-
-def _sentence(verdict: str, names: tuple[NamedEffect, ...], curve: Shape | None, errors: Mapping[str, Errors]) -> str:
-    held = errors["held_out"].voltage_rms
+def _sentence(
+    verdict: str, names: tuple[result.NamedEffect, ...], curve: result.Shape | None, errors: Mapping[str, result.Errors]
+) -> str:
+    volts = errors["held_out"].voltage_rms
 
     def change(joint: int | None) -> str:
-        js = range(len(held.retuned)) if joint is None else [joint - 1]
-        before = np.sqrt(np.mean([held.retuned[j] ** 2 for j in js]))
-        after = np.sqrt(np.mean([held.augmented[j] ** 2 for j in js]))
+        rows = slice(None) if joint is None else slice(joint - 1, joint)
+        before, after = (np.sqrt(np.mean(each[rows] ** 2)) for each in (volts.retuned, volts.augmented))
         return f"{before:.3g} to {after:.3g} V"
 
-    if verdict == NOTHING_MISSING:
-        return (
-            "Nothing is missing that this log could show: with retuned parameters the model "
-            "explains it down to its noise."
-        )
-    if verdict == UNNAMED and curve is not None:
-        what = (
-            f"a line at {curve.line_hz:.2f} Hz"
-            if curve.line_hz is not None
-            else f"a curve over {curve.axis} {curve.way}".rstrip()
-        )
+    if verdict == result.NOTHING_MISSING:
+        return "Nothing is missing that this log could show: the retuned model explains it down to its noise."
+    if verdict == result.UNNAMED and curve is not None:
+        what = f"a curve over {curve.axis} {curve.way}".rstrip()
+        if curve.line_hz is not None:
+            what = f"a line at {curve.line_hz:.2f} Hz"
         return f"Something is missing on joint {curve.joint} that no effect of the library explains: {what}."
     parts = []
     for e in names:
@@ -180,22 +150,21 @@ def _sentence(verdict: str, names: tuple[NamedEffect, ...], curve: Shape | None,
         size = ", ".join(
             f"{n} {i.value:.3g} {i.unit if i.unit != '1' else ''}".strip() for n, i in e.parameters.items()
         )
-        parts.append(f"{e.name} on {where} ({size}; the error on held-out rows falls from {change(e.joint)})")
+        parts.append(f"{e.name} on {where} ({size}; the error on the validation set falls from {change(e.joint)})")
     text = f"The model lacks {' and '.join(parts)}"
-    if verdict == NAMED_WITH_REMAINDER and curve is not None:
+    if verdict == result.NAMED_WITH_REMAINDER and curve is not None:
         text += f"; beside that something over {curve.axis} of joint {curve.joint} is left that has no name"
     return text + "."
 
 
-def _ranking(s: SelectionState, names: tuple[NamedEffect, ...]) -> tuple[Ranked, ...]:
-    chosen = {(e.name, e.joint): e for e in names}
-    rows: dict[Key, Ranked] = {}
-    stage = s.history[0]
+def _ranking(s: SelectionState, names: tuple[result.NamedEffect, ...]) -> tuple[result.Ranked, ...]:
+    chosen = {(e.name, e.joint) for e in names}
+    stage, rows = s.history[0], {}
     for t in stage.trials:
         verdict = "named" if t.key in chosen else _refused(s, stage, t)
-        rows[t.key] = Ranked(t.name, t.joint, float(t.gain), verdict)
+        rows[t.key] = result.Ranked(t.name, t.joint, float(t.gain), verdict)
     for e in names:
-        rows.setdefault((e.name, e.joint), Ranked(e.name, e.joint, float(e.evidence), "named"))
+        rows.setdefault((e.name, e.joint), result.Ranked(e.name, e.joint, float(e.evidence), "named"))
     return tuple(sorted(rows.values(), key=lambda r: -r.evidence))
 
 
@@ -217,7 +186,7 @@ def _refused(s: SelectionState, stage: Stage, t: Trial) -> str:
     return "too little of it acts in the validation set"
 
 
-def _exact_ties(names: tuple[NamedEffect, ...]) -> list[str]:
+def _exact_ties(names: tuple[result.NamedEffect, ...]) -> list[str]:
     found = {e.name for e in names}
     return [
         f"{one} and {other} are the same in a log of voltage and position: {why}."
@@ -229,16 +198,14 @@ def _exact_ties(names: tuple[NamedEffect, ...]) -> list[str]:
 def _strained(m: Mechanism, s: SelectionState) -> list[str]:
     """A note on parameters that went farther than their priors allow, where there are any."""
     far = (s.model.point.theta - m.start) / m.deviations
-    found = [(abs(x), p.name, x) for p, x in zip(m.free, far) if abs(x) > RESIDUALS.strained]
+    found = sorted(((abs(x), p.name, x) for p, x in zip(m.free, far) if abs(x) > RESIDUALS.strained), reverse=True)
     if not found:
         return []
-    words = ", ".join(f"{name} by {x:+.1f}" for _, name, x in sorted(found, reverse=True)[: RESIDUALS.listed])
-    left = len(found) - RESIDUALS.listed
-    more = f" and {left} more" if left > 0 else ""
+    words = ", ".join(f"{name} by {x:+.1f}" for _, name, x in found[: RESIDUALS.listed])
+    more = f" and {len(found) - RESIDUALS.listed} more" if len(found) > RESIDUALS.listed else ""
     return [
-        f"Parameters are farther from their start than their priors allow ({words}{more} "
-        "standard deviations): the start values are of another machine, or parameters have "
-        "taken up what looks like them, such as a payload."
+        f"Parameters are farther from their start than their priors allow ({words}{more} standard deviations): the "
+        "start values are of another machine, or parameters account for what looks like them, such as a payload."
     ]
 
 
@@ -247,7 +214,7 @@ def _parameters(m: Mechanism, s: SelectionState) -> dict[str, tuple[float, float
     return {p.name: (float(p.value), float(value), p.unit, float(p.deviation)) for p, value in zip(m.free, theta)}
 
 
-def _drawn(found: Findings) -> Drawn:
+def _drawn(found: Findings) -> result.Drawn:
     p, stretches = found.prepared.problem, found.prepared.predictor.stretches
     s = p.sampled
     signals = p.signals(found.state.model.point.theta)
@@ -260,44 +227,30 @@ def _drawn(found: Findings) -> Drawn:
         nearest[part] = own[np.clip(np.searchsorted(rows[own], time), 0, len(own) - 1)]
         offsets.append(start + time - time[0])
         start = offsets[-1][-1] + 1.0
-    series = {
-        "position": signals.position,
-        "velocity": signals.velocity,
-        "acceleration": signals.acceleration,
-        "voltage": signals.voltage,
-        "torque": signals.torque,
-        "gravity_torque": signals.gravity_torque,
-        "link_torque": signals.link_torque,
-        "current": signals.current,
-        "motor_angle": np.mod(signals.position * signals.gear, 2.0 * np.pi),
-        "supply_current": np.repeat(np.abs(signals.current).sum(axis=1, keepdims=True), s.joints, axis=1),
-    }
-    return Drawn(
-        np.concatenate(offsets),
-        found.residuals["nominal"][nearest],
-        found.residuals["retuned"][nearest],
-        found.residuals["augmented"][nearest],
-        {name: a[kept] for name, a in series.items()},
-        p.held.astype(float),
-        _whiteness(found.state.model.errors, found.prepared.predictor),
+    series = {name: getattr(signals, name) for name in _DRAWN}
+    series["motor_angle"] = np.mod(signals.position * signals.gear, 2.0 * np.pi)
+    series["supply_current"] = np.repeat(np.abs(signals.current).sum(axis=1, keepdims=True), s.joints, axis=1)
+    return result.Drawn(
+        time=np.concatenate(offsets),
+        **{name: volts[nearest] for name, volts in found.residuals.items()},
+        signals={name: a[kept] for name, a in series.items()},
+        held_out=p.validation.astype(float),
+        whiteness=_whiteness(found.state.model.errors, found.prepared.predictor),
     )
 
 
-def _whiteness(errors: np.ndarray, predictor: Predictor) -> dict[int, tuple[np.ndarray, np.ndarray, float]]:
+def _whiteness(errors: Floats, predictor: Predictor) -> dict[int, tuple[Floats, Floats, float]]:
     """Autocorrelation of innovations (N, J) of each joint (1-based): lags [s], values, and their 95 % bound."""
-    rows, step = predictor.fit_rows, predictor.step
+    step = predictor.step
     block = max(1, int(RESIDUALS.lag_block / step))
+    n = len(errors) // block
+    most = min(int(RESIDUALS.lags / (step * block)), n // 3)
     out = {}
-    for j in range(errors.shape[1]):
-        e = np.where(rows[:, j], errors[:, j], 0.0)
-        n = len(e) // block
-        if n < RESIDUALS.least_lag_blocks:
-            continue
-        e = e[: n * block].reshape(n, block).sum(axis=1)
-        most = min(int(RESIDUALS.lags / (step * block)), n // 3)
+    for j, (own, rows) in enumerate(zip(errors.T, predictor.fit_rows.T)):
+        e = np.where(rows, own, 0.0)[: n * block].reshape(n, block).sum(axis=1)
         power = float(e @ e)
-        if not power > 0.0:
-            continue
-        acf = np.array([float(e[k:] @ e[: n - k]) / power for k in range(1, most + 1)])
-        out[j + 1] = (np.arange(1, most + 1) * step * block, acf, RESIDUALS.normal_quantile / np.sqrt(n))
+        if n >= RESIDUALS.least_lag_blocks and power > 0.0:
+            acf = np.array([float(e[k:] @ e[: n - k]) / power for k in range(1, most + 1)])
+            lags = np.arange(1, most + 1, dtype=float) * step * block
+            out[j + 1] = (lags, acf, float(RESIDUALS.normal_quantile / np.sqrt(n)))
     return out

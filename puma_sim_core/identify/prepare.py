@@ -55,7 +55,7 @@ def prepare(
     """
     everything = (*logs, *validation)
     sampled = sample(everything)
-    problem = Problem(sampled, mechanism, tuple(range(len(logs), len(everything))), hold_back=not validation)
+    problem = Problem(sampled, mechanism, tuple(range(len(logs), len(everything))), blocks=not validation)
     library = {name: kind for name, kind in KINDS.items() if kind.screening is not None and mechanism.possible(name)}
     search = Search(problem, library, progress)
     progress("retuning", 0.03)
@@ -76,7 +76,7 @@ def prepare(
 def _validation(problem: Problem, logs: int) -> list[RowChoice]:
     def choice(number: int) -> RowChoice:
         rows = problem.segment == number
-        time, held = problem.sampled.time[problem.kept[rows]], problem.held[rows].astype(float)
-        return lambda t: np.interp(t, time, held) > 0.5
+        time, inside = problem.sampled.time[problem.kept[rows]], problem.validation[rows].astype(float)
+        return lambda t: np.interp(t, time, inside) > 0.5
 
     return [choice(number) for number in range(logs)]

@@ -8,7 +8,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from threading import Lock
 
-import numpy as np
+from puma_sim_core.identify.arrays import Floats
 
 
 class Remembered:
@@ -16,10 +16,10 @@ class Remembered:
 
     def __init__(self, most: int):
         self._most = most
-        self._kept: OrderedDict[Hashable, np.ndarray] = OrderedDict()
+        self._kept: OrderedDict[Hashable, Floats] = OrderedDict()
         self._lock = Lock()
 
-    def __call__(self, key: Hashable, make: Callable[[], np.ndarray]) -> np.ndarray:
+    def __call__(self, key: Hashable, make: Callable[[], Floats]) -> Floats:
         """The array of a key, made if it is not cached; read-only."""
         with self._lock:
             if key in self._kept:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import numpy as np
+from puma_sim_core.identify.arrays import Floats
 
 NOTHING_MISSING = "NOTHING_MISSING"
 NAMED = "NAMED"
@@ -17,19 +17,22 @@ VERDICTS = (NOTHING_MISSING, NAMED, NAMED_WITH_REMAINDER, UNNAMED, DATA_FAULT)
 
 NOT_EXCITED = "NOT_EXCITED"
 
-#: rows that errors are measured at: those fitted to, those that parameters were not fitted to, and
-#: of these the ones that the choice of the effects has not seen either
+#: rows that errors are measured at: fitted, not fitted, and of these those that the choice of effects has not seen
 PARTS = ("fit", "held_out", "unseen")
 
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault of the data: channel ("time", "voltage2", "position1" ...), first row (1-based line
-    of data, None for the whole channel), and what is wrong with what was expected."""
+    """A fault of the data: channel ("time", "voltage2" ...), first row (1-based; None: all), and what is wrong."""
 
     channel: str
     row: int | None
     what: str
+
+    @classmethod
+    def of(cls, channel: str, row: int | None, found: str, expected: str) -> Fault:
+        """A fault of what was found in place of what was expected."""
+        return cls(channel, row, f"{found}; expected {expected}")
 
 
 @dataclass(frozen=True)
@@ -61,11 +64,7 @@ class RuledOut:
 
 @dataclass(frozen=True)
 class NamedEffect:
-    """An effect that the model lacked.
-
-    evidence : gain of the log marginal likelihood [nat]; tied_with : what this log cannot tell
-    from it; ruled_out : look-alikes that it can.
-    """
+    """An effect that the model lacked: gain of evidence [nat], what the log cannot tell from it, and what it can."""
 
     name: str
     joint: int | None
@@ -79,10 +78,10 @@ class NamedEffect:
 class StageErrors:
     """Errors (J,) of one quantity before and after: root mean squares joint by joint."""
 
-    nominal: np.ndarray
-    retuned: np.ndarray
-    augmented: np.ndarray
-    floor: np.ndarray
+    nominal: Floats
+    retuned: Floats
+    augmented: Floats
+    floor: Floats
 
 
 @dataclass(frozen=True)
@@ -97,21 +96,20 @@ class Errors:
 class Shape:
     """The shape of what cannot be named.
 
-    axis : "position", "velocity", "time", "voltage", "torque", "acceleration", "position of joint
-    2", "motor_angle", ...; joint (1-based); centre, curve (k,): the residual [V] over the axis,
-    low, high (k,): its 95 % band; line_hz: frequency of a spectral line [Hz], None without;
-    ranking: (axis, gain of log evidence) from the best on; way: how the axis acts, "" for a plain
-    curve, "with the sign of the velocity", "in fine steps", or "with hysteresis": the curve is then
-    over the change of the axis since it last reversed.
+    axis : "position", "velocity", "time", "voltage", "torque", "acceleration", "position of joint 2", "motor_angle",
+    ...; joint (1-based); centre, curve (k,): the residual [V] over the axis, low, high (k,): its 95 % band; line_hz:
+    frequency of a spectral line [Hz], None without; ranking: (axis, gain of log evidence) from the best on; way: how
+    the axis acts, "" for a plain curve, "with the sign of the velocity", "in fine steps", or "with hysteresis": the
+    curve is then over the change of the axis since it last reversed.
     """
 
     axis: str
     axis_unit: str
     joint: int
-    centre: np.ndarray
-    curve: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
+    centre: Floats
+    curve: Floats
+    low: Floats
+    high: Floats
     line_hz: float | None = None
     ranking: tuple[tuple[str, float], ...] = ()
     way: str = ""
@@ -143,18 +141,17 @@ class Ranked:
 
 @dataclass(frozen=True)
 class Drawn:
-    """Series for the figures of a report, decimated: time (m,) [s]; residuals (m, J) [V] of the
-    nominal, retuned and augmented model; signals {name: (m, J)} to draw them against; held_out
-    (m,): 1 where the row was not used to fit; whiteness {joint: (lags s, autocorrelation,
-    bound)}."""
+    """Series for the figures of a report, decimated: time (m,) [s]; residuals (m, J) [V] of the nominal, retuned and
+    augmented model; signals {name: (m, J)} to draw them against; held_out (m,): 1 where the row was not used to fit;
+    whiteness {joint: (lags s, autocorrelation, bound)}."""
 
-    time: np.ndarray
-    nominal: np.ndarray
-    retuned: np.ndarray
-    augmented: np.ndarray
-    signals: dict[str, np.ndarray]
-    held_out: np.ndarray
-    whiteness: dict[int, tuple[np.ndarray, np.ndarray, float]] = field(default_factory=dict)
+    time: Floats
+    nominal: Floats
+    retuned: Floats
+    augmented: Floats
+    signals: dict[str, Floats]
+    held_out: Floats
+    whiteness: dict[int, tuple[Floats, Floats, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -162,8 +159,8 @@ class FeedbackBias:
     """Test for feedback in the recording (Durbin, Wu, Hausman): p_value small where delay and
     elasticity are biased by it; joint by joint."""
 
-    statistic: np.ndarray
-    p_value: np.ndarray
+    statistic: Floats
+    p_value: Floats
     biased: bool
     instruments: str
     sentence: str

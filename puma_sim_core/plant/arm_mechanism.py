@@ -1,27 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""The arm of three joints as the explaining loop sees it.
+"""The arm of three joints as identification sees it.
 
-Its torques are linear in the constants of `rigid_body.Lumps`: one table of sines, speeds and
-accelerations serves the torque and all of its derivatives. Thirty-nine parameters: mass, centre
-and squared radii of gyration of each link; inertia, resistance, back-EMF, torque constant and
-inductance of each motor; viscous friction of each joint. Products of inertia, lengths, gear ratios
-and gravity are known.
+Its torques are linear in the constants of `rigid_body.Lumps`: one table of sines, speeds and accelerations serves the
+torque and all of its derivatives. Thirty-nine parameters: mass, centre and squared radii of gyration of each link;
+inertia, resistance, back-EMF, torque constant and inductance of each motor; viscous friction of each joint. Products of
+inertia, lengths, gear ratios and gravity are known.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from puma_sim_core.arm.arm import ArmParameters, Link, Motor
 from puma_sim_core.arm.loads import with_point_mass
 from puma_sim_core.arm.rigid_body import Lumps, lumped_constants
 from puma_sim_core.effects import VISCOUS, Effect
 from puma_sim_core.errors import ParameterError
-from puma_sim_core.plant.mechanism import Drive, Mechanism, MechanismParameter
+from puma_sim_core.plant.mechanism import Drive, Mechanism, MechanismParameter, complex_slope
 from puma_sim_core.plant.plant import Plant
 
 #: the constants that the link torques are linear in: `Lumps` but for E4, which is E0 + Ia3
@@ -46,8 +47,8 @@ class ArmMechanism(Mechanism):
     `WIDTHS`; torque_form as `Plant`.
     """
 
-    arm: ArmParameters = None
-    viscous: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    arm: ArmParameters = field(kw_only=True)
+    viscous: tuple[float, ...] = (0.0, 0.0, 0.0)
     widths: Mapping[str, float] = field(default_factory=dict)
     torque_form: str = "physical"
 
@@ -55,9 +56,9 @@ class ArmMechanism(Mechanism):
     def of(
         cls,
         arm: ArmParameters,
-        viscous,
+        viscous: Iterable[float],
         widths: Mapping[str, float],
-        torque_scale,
+        torque_scale: ArrayLike,
         *,
         name: str = "puma560",
         effects: Iterable[Effect] = (),
@@ -81,54 +82,41 @@ class ArmMechanism(Mechanism):
             torque_form=torque_form,
         )
 
-    def with_arm(self, arm: ArmParameters) -> ArmMechanism:
-        """The mechanism that starts from another arm."""
-        return ArmMechanism.of(
-            arm,
-            self.viscous,
-            self.widths,
-            self.torque_scale,
-            name=self.name,
-            effects=self.effects,
-            torque_form=self.torque_form,
-        )
+    def with_arm(self, arm: ArmParameters, **changes: Any) -> ArmMechanism:
+        """The mechanism that starts from another arm; changes : of `viscous`, `effects`, `torque_form`."""
+        kept = {name: getattr(self, name) for name in ("viscous", "name", "effects", "torque_form")}
+        return ArmMechanism.of(arm, widths=self.widths, torque_scale=self.torque_scale, **(kept | changes))
 
     def of_plant(self, plant: Plant) -> ArmMechanism:
         """See `Mechanism.of_plant`; joints without viscous friction in the plant keep that of the
         mechanism as the start (what is not known is not zero)."""
         if plant.joints != 3:
-            raise ParameterError(
-                f"a model of {plant.joints} joint", where=self.name, expected="a model of three joints"
-            )
+            what = f"a model of {plant.joints} joint"
+            raise ParameterError(what, where=self.name, expected="a model of three joints")
         given = {e.joint for e in plant.effects if e.kind is VISCOUS}
         viscous = [plant.viscous_friction[j] if j + 1 in given else self.viscous[j] for j in range(3)]
-        return ArmMechanism.of(
-            plant.arm,
-            viscous,
-            self.widths,
-            self.torque_scale,
-            name=self.name,
-            effects=[e for e in plant.effects if e.kind is not VISCOUS],
-            torque_form=plant.torque_form,
-        )
+        effects = [e for e in plant.effects if e.kind is not VISCOUS]
+        return self.with_arm(plant.arm, viscous=viscous, effects=effects, torque_form=plant.torque_form)
 
-    def arm_of(self, theta=None) -> ArmParameters:
+    def arm_of(self, theta: ArrayLike | None = None) -> ArmParameters:
         """The arm with the numbers of theta, without loads."""
         value = self.values(theta)
-        links, motors = [], []
-        for i, (link, motor) in enumerate(zip(self.arm.links, self.arm.motors), start=1):
-            links.append(
-                Link(
-                    value[f"link{i}.mass"],
-                    tuple(value[f"link{i}.centre_{a}"] for a in _AXES),
-                    tuple(value[f"link{i}.gyration_{a}{a}"] for a in _AXES),
-                    link.products,
-                )
+        links: list[Any] = [
+            Link(
+                value[f"link{i}.mass"],
+                (value[f"link{i}.centre_x"], value[f"link{i}.centre_y"], value[f"link{i}.centre_z"]),
+                (value[f"link{i}.gyration_xx"], value[f"link{i}.gyration_yy"], value[f"link{i}.gyration_zz"]),
+                link.products,
             )
-            motors.append(Motor(gear_ratio=motor.gear_ratio, **{key: value[f"motor{i}.{key}"] for key in _MOTOR}))
+            for i, link in enumerate(self.arm.links, start=1)
+        ]
+        motors: list[Any] = [
+            Motor(gear_ratio=motor.gear_ratio, **{key: value[f"motor{i}.{key}"] for key in _MOTOR})
+            for i, motor in enumerate(self.arm.motors, start=1)
+        ]
         return replace(self.arm, links=tuple(links), motors=tuple(motors))
 
-    def plant(self, theta=None, effects: Iterable[Effect] = ()) -> Plant:
+    def plant(self, theta: ArrayLike | None = None, effects: Iterable[Effect] = ()) -> Plant:
         theta = None if theta is None else self.clip(theta)
         value = self.values(theta)
         viscous = tuple(
@@ -138,9 +126,7 @@ class ArmMechanism(Mechanism):
         )
         return Plant(self.arm_of(theta), viscous + self.effects + tuple(effects), self.torque_form)
 
-    # ------------------------------------------------------------------------------- torques
-
-    def lumps(self, theta=None) -> np.ndarray:
+    def lumps(self, theta: ArrayLike | None = None) -> np.ndarray:
         """(19,) constants `LUMPS` of the links and what they carry, without motor inertias."""
         return _link_lumps(self.arm_of(theta)) + self._load_lumps
 
@@ -153,11 +139,11 @@ class ArmMechanism(Mechanism):
                 loaded = effect.kind.load(loaded, effect.on(self.arm).values)
         return _link_lumps(loaded) - _link_lumps(self.arm)
 
-    def torque(self, theta, q, qd, qdd) -> np.ndarray:
+    def torque(self, theta: ArrayLike | None, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> np.ndarray:
         table = lump_table(q, qd, qdd)
         return (table.reshape(-1, len(LUMPS)) @ self.lumps(theta)).reshape(-1, 3)
 
-    def gravity(self, theta, q) -> np.ndarray:
+    def gravity(self, theta: ArrayLike | None, q: ArrayLike) -> np.ndarray:
         q = np.asarray(q)
         g1, g2, g3, g4 = self.lumps(theta)[-4:]
         u = q[:, 1] + q[:, 2]
@@ -165,34 +151,27 @@ class ArmMechanism(Mechanism):
         second = g3 * np.cos(q[:, 1]) + g4 * np.sin(q[:, 1]) + third
         return np.stack([np.zeros_like(third), second, third], axis=1)
 
-    def inertia(self, theta, q) -> np.ndarray:
+    def inertia(self, theta: ArrayLike | None, q: ArrayLike) -> np.ndarray:
         return np.diagonal(self.inertia_matrix(theta, q), axis1=1, axis2=2)
 
-    def inertia_matrix(self, theta, q) -> np.ndarray:
-        q = np.asarray(q, dtype=float)
-        still = np.zeros_like(q)
+    def inertia_matrix(self, theta: ArrayLike | None, q: ArrayLike) -> np.ndarray:
+        still = np.zeros(np.shape(q))
         weight = self.lumps(theta)
         weight[-4:] = 0.0
-        columns = []
-        for j in range(3):
-            unit = still.copy()
-            unit[:, j] = 1.0
-            columns.append(lump_table(q, still, unit) @ weight)
-        return np.stack(columns, axis=-1)
+        return np.stack([lump_table(q, still, still + unit) @ weight for unit in np.eye(3)], axis=-1)
 
-    def gravity_tilt(self, theta, q) -> np.ndarray:
+    def gravity_tilt(self, theta: ArrayLike | None, q: ArrayLike) -> np.ndarray:
         """See `Mechanism.gravity_tilt`: per rad, gravity points along (x, y, -1) of the base.
 
-        Joint 1 gets (-x S1 + y C1) G2 and, what loop.md's short form leaves out, the moment of the
-        masses beside the plane of the arm.
+        Joint 1 gets (-x S1 + y C1) G2 and the moment of the masses beside the plane of the arm.
         """
         q = np.asarray(q, dtype=float)
         arm, g = self.arm_of(theta), self.arm.gravity
         lumps = self.lumps(theta)
         g1, g2, g3, g4 = lumps[-4:]
         first, second, third = arm.links
-        load = sum(e.values["mass"] for e in self.effects if e.kind.load is not None)
-        beside = sum(e.values["mass"] * e.values["y"] for e in self.effects if e.kind.load is not None)
+        loads = [e.values for e in self.effects if e.kind.load is not None]
+        load, beside = sum(v["mass"] for v in loads), sum(v["mass"] * v["y"] for v in loads)
         # moments of mass [kg.m] times g: along the arm, and beside its plane
         along = g * first.mass * first.centre[0] - self.gravity(theta, q)[:, 1]
         side = g * (
@@ -213,23 +192,23 @@ class ArmMechanism(Mechanism):
         result[:, 0, 1] = -along * c1 + side * s1
         return result
 
-    def payload_torque(self, theta, z: float, q, qd, qdd) -> np.ndarray:
-        empty = _empty(self.arm)
-        load = with_point_mass(empty, 1.0, 0.0, 0.0, float(z))
+    def payload_torque(
+        self, theta: ArrayLike | None, z: float, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike
+    ) -> np.ndarray:
+        nothing = Link(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        load = with_point_mass(replace(self.arm, links=(nothing,) * 3), 1.0, 0.0, 0.0, float(z))
         return lump_table(q, qd, qdd) @ _link_lumps(load)
 
-    def link_jacobian(self, theta, q, qd, qdd) -> np.ndarray:
-        theta = np.asarray(theta, dtype=float)
-        slopes = np.zeros((len(LUMPS), len(theta)))
+    def link_jacobian(self, theta: ArrayLike | None, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> np.ndarray:
+        theta = self.start if theta is None else theta
+        slopes = np.zeros((len(LUMPS), len(self.free)))
         for n, parameter in enumerate(self.free):
             if parameter.name.startswith("link"):
-                moved = theta.astype(complex)
-                moved[n] += 1e-30j
-                slopes[:, n] = np.imag(_link_lumps(self.arm_of(moved))) * 1e30
+                slopes[:, n] = complex_slope(lambda moved: _link_lumps(self.arm_of(moved)), theta, n)
         table = lump_table(q, qd, qdd)
-        return (table.reshape(-1, len(LUMPS)) @ slopes).reshape(len(table), 3, len(theta))
+        return (table.reshape(-1, len(LUMPS)) @ slopes).reshape(len(table), 3, len(self.free))
 
-    def drive(self, theta) -> Drive:
+    def drive(self, theta: ArrayLike | None) -> Drive:
         value = self.values(theta)
         per_motor = {key: np.array([value[f"motor{i}.{key}"] for i in (1, 2, 3)]) for key in _MOTOR}
         gear = self.gear if self.torque_form == "physical" else np.ones(3)
@@ -243,49 +222,43 @@ class ArmMechanism(Mechanism):
         )
 
 
-def _parameters(arm: ArmParameters, viscous, widths) -> tuple[MechanismParameter, ...]:
-    def parameter(name, unit, value, width, acts=True, positive=True):
-        # a number that is zero, or that no torque depends on, has nothing to be fitted
-        deviation = abs(value) * widths[width]
-        return MechanismParameter(
-            name, unit, float(value), deviation, known=not (acts and deviation > 0.0), positive=positive
-        )
-
-    found = []
+def _parameters(
+    arm: ArmParameters, viscous: Iterable[float], widths: Mapping[str, float]
+) -> tuple[MechanismParameter, ...]:
+    """Name, unit, number, width and whether some torque depends on it, for all numbers of the arm."""
+    found: list[tuple[str, str, float, str, bool]] = []
     for i, link in enumerate(arm.links, start=1):
         # the first link only turns about its upright axis
-        found.append(parameter(f"link{i}.mass", "kg", link.mass, "mass"))
-        found += [
-            parameter(f"link{i}.centre_{a}", "m", value, "centre", i > 1, positive=False)
-            for a, value in zip(_AXES, link.centre)
-        ]
-        found += [
-            parameter(f"link{i}.gyration_{a}{a}", "m^2", value, "gyration_squared", i > 1 or a == "y")
-            for a, value in zip(_AXES, link.gyration_squared)
-        ]
+        found.append((f"link{i}.mass", "kg", link.mass, "mass", True))
+        found += [(f"link{i}.centre_{a}", "m", value, "centre", i > 1) for a, value in zip(_AXES, link.centre)]
+        for a, value in zip(_AXES, link.gyration_squared):
+            found.append((f"link{i}.gyration_{a}{a}", "m^2", value, "gyration_squared", i > 1 or a == "y"))
     for i, motor in enumerate(arm.motors, start=1):
-        found += [parameter(f"motor{i}.{key}", unit, getattr(motor, key), key) for key, unit in _MOTOR.items()]
-    found += [
-        parameter(f"joint{j}.viscous", "N.m.s/rad", value, "viscous_friction")
-        for j, value in enumerate(viscous, start=1)
-    ]
-    return tuple(found)
-
-
-def _empty(arm: ArmParameters) -> ArmParameters:
-    """The arm with links of no mass."""
-    nothing = Link(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    return replace(arm, links=(nothing,) * 3)
+        found += [(f"motor{i}.{key}", unit, getattr(motor, key), key, True) for key, unit in _MOTOR.items()]
+    for j, value in enumerate(viscous, start=1):
+        found.append((f"joint{j}.viscous", "N.m.s/rad", value, "viscous_friction", True))
+    return tuple(
+        # a number that is zero, or that no torque depends on, has nothing to be fitted
+        MechanismParameter(
+            name,
+            unit,
+            float(value),
+            deviation := abs(value) * widths[width],
+            known=not (acts and deviation > 0.0),
+            positive=width != "centre",
+        )
+        for name, unit, value, width, acts in found
+    )
 
 
 def _link_lumps(arm: ArmParameters) -> np.ndarray:
     """(19,) constants `LUMPS` of the links alone, real or complex."""
-    still = tuple(replace(motor, inertia=0.0) for motor in arm.motors)
-    k = lumped_constants(replace(arm, motors=still))
+    first, second, third = (replace(motor, inertia=0.0) for motor in arm.motors)
+    k = lumped_constants(replace(arm, motors=(first, second, third)))
     return np.array(k[:15] + k[16:])
 
 
-def lump_table(q, qd, qdd) -> np.ndarray:
+def lump_table(q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> np.ndarray:
     """Factors of the constants `LUMPS` in the link torques.
 
     q, qd, qdd : (n, 3) [rad, rad/s, rad/s^2]. Returns (n, 3, 19) such that the product with the
@@ -303,41 +276,31 @@ def lump_table(q, qd, qdd) -> np.ndarray:
     f5, f5u = -0.5 * (s2 * cu + c2 * su), -0.5 * c2 * su
     f6, f6u = 0.5 * (c2 * cu - s2 * su), 0.5 * c2 * cu
     w13 = 2.0 * w1 * w3
-    t = np.zeros((len(q), 3, len(LUMPS)))
-    first, second, third = t[:, 0].T, t[:, 1].T, t[:, 2].T
-    at = {name: n for n, name in enumerate(LUMPS)}
-    first[at["A0"]] = a1
-    first[at["A1"]] = c2 * c2 * a1 - s2 * c2 * w12
-    second[at["A1"]] = s2 * c2 * w11
-    first[at["A2"]] = s2 * c2 * a1 + half2 * w12
-    second[at["A2"]] = -half2 * w11
-    first[at["A3"]] = cu * cu * a1 - su * cu * w1u
-    second[at["A3"]] = third[at["A3"]] = su * cu * w11
-    first[at["A4"]] = su * cu * a1 + halfu * w1u
-    second[at["A4"]] = third[at["A4"]] = -halfu * w11
-    first[at["A5"]] = c2 * cu * a1 + f5 * w12 + f5u * w13
-    second[at["A5"]] = -f5 * w11
-    third[at["A5"]] = -f5u * w11
-    first[at["A6"]] = c2 * su * a1 + f6 * w12 + f6u * w13
-    second[at["A6"]] = -f6 * w11
-    third[at["A6"]] = -f6u * w11
-    first[at["B1"]] = su * (a2 + a3) + cu * (w22 + both)
-    second[at["B1"]] = third[at["B1"]] = su * a1
-    first[at["B2"]] = cu * (a2 + a3) - su * (w22 + both)
-    second[at["B2"]] = third[at["B2"]] = cu * a1
-    first[at["B3"]] = s2 * a2 + c2 * w22
-    second[at["B3"]] = s2 * a1
-    first[at["B4"]] = c2 * a2 - s2 * w22
-    second[at["B4"]] = c2 * a1
-    second[at["E0"]] = a3
-    third[at["E0"]] = a2 + a3
-    second[at["E1"]] = c3 * (2.0 * a2 + a3) - s3 * both
-    third[at["E1"]] = c3 * a2 + s3 * w22
-    second[at["E2"]] = s3 * (2.0 * a2 + a3) + c3 * both
-    third[at["E2"]] = s3 * a2 - c3 * w22
-    second[at["E3"]] = a2
-    second[at["g1"]] = third[at["g1"]] = cu
-    second[at["g2"]] = third[at["g2"]] = su
-    second[at["g3"]] = c2
-    second[at["g4"]] = s2
-    return t
+    #: factors in the torques of the three joints, None for 0
+    factors: dict[str, tuple[Any, Any, Any]] = {
+        "A0": (a1, None, None),
+        "A1": (c2 * c2 * a1 - s2 * c2 * w12, s2 * c2 * w11, None),
+        "A2": (s2 * c2 * a1 + half2 * w12, -half2 * w11, None),
+        "A3": (cu * cu * a1 - su * cu * w1u, su * cu * w11, su * cu * w11),
+        "A4": (su * cu * a1 + halfu * w1u, -halfu * w11, -halfu * w11),
+        "A5": (c2 * cu * a1 + f5 * w12 + f5u * w13, -f5 * w11, -f5u * w11),
+        "A6": (c2 * su * a1 + f6 * w12 + f6u * w13, -f6 * w11, -f6u * w11),
+        "B1": (su * (a2 + a3) + cu * (w22 + both), su * a1, su * a1),
+        "B2": (cu * (a2 + a3) - su * (w22 + both), cu * a1, cu * a1),
+        "B3": (s2 * a2 + c2 * w22, s2 * a1, None),
+        "B4": (c2 * a2 - s2 * w22, c2 * a1, None),
+        "E0": (None, a3, a2 + a3),
+        "E1": (None, c3 * (2.0 * a2 + a3) - s3 * both, c3 * a2 + s3 * w22),
+        "E2": (None, s3 * (2.0 * a2 + a3) + c3 * both, s3 * a2 - c3 * w22),
+        "E3": (None, a2, None),
+        "g1": (None, cu, cu),
+        "g2": (None, su, su),
+        "g3": (None, c2, None),
+        "g4": (None, s2, None),
+    }
+    table = np.zeros((len(q), 3, len(LUMPS)))
+    for n, name in enumerate(LUMPS):
+        for j, factor in enumerate(factors[name]):
+            if factor is not None:
+                table[:, j, n] = factor
+    return table

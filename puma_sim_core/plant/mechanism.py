@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""What the explaining loop needs of a machine: parameters with priors, torques, a plant.
+"""What identification needs of a machine: parameters with priors, torques, a plant.
 
-A `Mechanism` is an arm of three joints (`arm_mechanism`) or a single joint (`one_joint`): names,
-units and ranges, the parameters with the widths of their priors, and the inverse dynamics with
-derivatives. The voltage that a motion takes is, joint by joint (equations 4.1 and 5.1),
+A `Mechanism` is an arm of three joints (`arm_mechanism`) or a single joint (`one_joint`). The voltage
+that a motion takes is, joint by joint (equations 4.1 and 5.1),
 
     Vhat = k (1 + lag d/dt) [link torque + Ia qdd + H qd] + emf qd,   k = R / (N kt), lag = L / R.
 
@@ -15,12 +14,13 @@ at once. A model that already holds effects keeps them: they are in the plants, 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from puma_sim_core.errors import ParameterError
 
@@ -31,6 +31,11 @@ if TYPE_CHECKING:
 MECHANISM_FORMAT = "puma-sim mechanism 1"
 #: a number that must be positive stays within this share and this multiple of its start
 _LEAST_SHARE, _GREATEST_MULTIPLE = 0.1, 10.0
+
+
+def linear_unit(unit: str) -> str:
+    """The unit on a slide of what has `unit` on a joint that turns: rad and N.m are m and N."""
+    return unit.replace("N.m", "N").replace("rad", "m")
 
 
 @dataclass(frozen=True)
@@ -56,6 +61,13 @@ class MechanismParameter:
         return -np.inf, np.inf
 
 
+def complex_slope(function: Callable[[np.ndarray], Any], theta: ArrayLike, n: int) -> np.ndarray:
+    """Derivative to theta[n] of what a function gives, as one array, by the complex step."""
+    moved = np.array(theta, dtype=complex)
+    moved[n] += 1e-30j
+    return np.imag(np.asarray(function(moved))) * 1e30
+
+
 class Drive(NamedTuple):
     """Constants of the drives, (J,) each, or their derivatives, (J, p) each.
 
@@ -74,16 +86,11 @@ class Drive(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Mechanism(ABC):
-    """A machine as the loop sees it; see `load_mechanism`.
+    """A machine as identification sees it; see `load_mechanism`.
 
-    Attributes
-    ----------
-    name : such as "puma560".
-    joints : J, 1 or 3.
-    position_unit, effort_unit : "rad" and "N.m", or "m" and "N".
-    ranges : ((low, high), ...) of the joints.
-    torque_scale : (J,) size of a middling friction torque, the unit of priors of effects.
-    gear : (J,) gear ratios N, 1 where there is none.
+    name : such as "puma560"; joints : J, 1 or 3; position_unit, effort_unit : "rad" and "N.m", or "m" and "N".
+    ranges : ((low, high), ...) of the joints; gear : (J,) gear ratios N, 1 where there is none.
+    torque_scale : (J,) nominal friction scale, the unit of priors of effects.
     parameters : all numbers, with priors; theta holds those that are not known, in this order.
     effects : what the start model has beyond `parameters`: known structure of every plant.
     """
@@ -119,11 +126,11 @@ class Mechanism(ABC):
         low, high = zip(*(p.bounds for p in self.free)) if self.free else ((), ())
         return np.array(low, dtype=float), np.array(high, dtype=float)
 
-    def clip(self, theta) -> np.ndarray:
+    def clip(self, theta: ArrayLike) -> np.ndarray:
         """(p,) theta within its bounds."""
         return np.clip(np.asarray(theta, dtype=float), *self.bounds)
 
-    def values(self, theta=None) -> dict:
+    def values(self, theta: ArrayLike | None = None) -> dict[str, Any]:
         """name -> value of all parameters; those of theta may be complex."""
         result = {p.name: p.value for p in self.parameters}
         if theta is not None:
@@ -133,42 +140,42 @@ class Mechanism(ABC):
             result.update(zip((p.name for p in self.free), theta.tolist()))
         return result
 
-    # ------------------------------------------------------------- what each mechanism defines
-
     @abstractmethod
-    def torque(self, theta, q, qd, qdd) -> np.ndarray:
+    def torque(self, theta: ArrayLike | None, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> np.ndarray:
         """(n, J) torque D qdd + C + G of the links, without the motors' inertia and friction."""
 
     @abstractmethod
-    def gravity(self, theta, q) -> np.ndarray:
+    def gravity(self, theta: ArrayLike | None, q: ArrayLike) -> np.ndarray:
         """(n, J) gravity torque G."""
 
     @abstractmethod
-    def inertia(self, theta, q) -> np.ndarray:
+    def inertia(self, theta: ArrayLike | None, q: ArrayLike) -> np.ndarray:
         """(n, J) diagonal of D."""
 
     @abstractmethod
-    def inertia_matrix(self, theta, q) -> np.ndarray:
+    def inertia_matrix(self, theta: ArrayLike | None, q: ArrayLike) -> np.ndarray:
         """(n, J, J) D of the links."""
 
-    def gravity_tilt(self, theta, q) -> np.ndarray | None:
+    def gravity_tilt(self, theta: ArrayLike | None, q: ArrayLike) -> np.ndarray | None:
         """(n, J, 2) change of G per rad of tilt of the base about x and y, or None."""
         return None
 
-    def payload_torque(self, theta, z: float, q, qd, qdd) -> np.ndarray | None:
+    def payload_torque(
+        self, theta: ArrayLike | None, z: float, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike
+    ) -> np.ndarray | None:
         """(n, J) torque that 1 kg at (0, 0, z) of the last link takes, or None."""
         return None
 
     @abstractmethod
-    def link_jacobian(self, theta, q, qd, qdd) -> np.ndarray:
+    def link_jacobian(self, theta: ArrayLike | None, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> np.ndarray:
         """(n, J, p) derivative of `torque`."""
 
     @abstractmethod
-    def drive(self, theta) -> Drive:
+    def drive(self, theta: ArrayLike | None) -> Drive:
         """Constants of the drives, (J,) each."""
 
     @abstractmethod
-    def plant(self, theta=None, effects: Iterable[Effect] = ()) -> Plant:
+    def plant(self, theta: ArrayLike | None = None, effects: Iterable[Effect] = ()) -> Plant:
         """The plant to simulate, with the mechanism's own effects and further ones."""
 
     def possible(self, name: str) -> bool:
@@ -177,66 +184,45 @@ class Mechanism(ABC):
 
     @abstractmethod
     def of_plant(self, plant: Plant) -> Mechanism:
-        """This mechanism with the numbers and effects of a plant as its start; the widths of the
-        priors stay, in proportion to the numbers.
+        """This mechanism with a plant's numbers and effects as its start, the widths of the priors in proportion.
 
-        Raises
-        ------
-        ParameterError : a plant of another kind.
+        Raises ParameterError: a plant of another kind.
         """
 
-    # ------------------------------------------------------------------- what follows from it
-
     def unit(self, unit: str) -> str:
-        """Unit of an effect's parameter on this mechanism: rad and N.m are m and N on an axis that
-        slides."""
-        return unit if self.position_unit == "rad" else unit.replace("N.m", "N").replace("rad", "m")
+        """Unit of an effect's parameter on this mechanism."""
+        return unit if self.position_unit == "rad" else linear_unit(unit)
 
-    def total_torque(self, theta, q, qd, qdd) -> np.ndarray:
+    def total_torque(self, theta: ArrayLike | None, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> np.ndarray:
         """(n, J) all that the motors must give: `torque` + Ia qdd + H qd."""
         drive = self.drive(theta)
         return self.torque(theta, q, qd, qdd) + drive.motor_inertia * qdd + drive.viscous * qd
 
-    def model_voltage(self, theta, q, qd, qdd) -> np.ndarray:
+    def model_voltage(self, theta: ArrayLike | None, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> np.ndarray:
         """(n, J) Vhat without its lag term: k * total torque + emf qd."""
         drive = self.drive(theta)
         return drive.volts_per_torque * self.total_torque(theta, q, qd, qdd) + drive.emf * np.asarray(qd)
 
-    def position_gradient(self, theta, q, qd, qdd) -> np.ndarray:
+    def position_gradient(self, theta: ArrayLike | None, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> np.ndarray:
         """(n, J, J) change of `torque` of joint i per rad (m) of joint j, by differences."""
         q = np.asarray(q, dtype=float)
-        columns = []
-        for j in range(self.joints):
-            step = np.zeros(self.joints)
-            step[j] = 1e-5
-            columns.append((self.torque(theta, q + step, qd, qdd) - self.torque(theta, q - step, qd, qdd)) / 2e-5)
+        columns = [
+            (self.torque(theta, q + step, qd, qdd) - self.torque(theta, q - step, qd, qdd)) / 2e-5
+            for step in 1e-5 * np.eye(self.joints)
+        ]
         return np.stack(columns, axis=-1)
 
-    def drive_jacobian(self, theta) -> Drive:
+    def drive_jacobian(self, theta: ArrayLike | None) -> Drive:
         """Derivatives (J, p) of the constants of the drives, by complex step."""
-        theta = np.asarray(theta, dtype=float)
-        columns = []
-        for n in range(len(theta)):
-            moved = theta.astype(complex)
-            moved[n] += 1e-30j
-            columns.append([np.imag(value) * 1e30 for value in self.drive(moved)])
-        if not columns:
-            return Drive(*(np.zeros((self.joints, 0)) for _ in Drive._fields))
-        return Drive(*(np.stack(each, axis=-1) for each in zip(*columns)))
+        theta = self.start if theta is None else theta
+        columns = [complex_slope(self.drive, theta, n) for n in range(len(self.free))]
+        none = np.zeros((len(Drive._fields), self.joints, 0))
+        return Drive(*(np.stack(columns, axis=-1) if columns else none))
 
-    def torque_jacobian(self, theta, q, qd, qdd) -> np.ndarray:
+    def torque_jacobian(self, theta: ArrayLike | None, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> np.ndarray:
         """(n, J, p) derivative of `total_torque`."""
         slopes = self.drive_jacobian(theta)
         result = self.link_jacobian(theta, q, qd, qdd)
         result += np.asarray(qdd)[:, :, None] * slopes.motor_inertia
         result += np.asarray(qd)[:, :, None] * slopes.viscous
-        return result
-
-    def voltage_jacobian(self, theta, q, qd, qdd) -> np.ndarray:
-        """(n, J, p) derivative of `model_voltage`."""
-        drive, slopes = self.drive(theta), self.drive_jacobian(theta)
-        result = self.torque_jacobian(theta, q, qd, qdd)
-        result *= drive.volts_per_torque[:, None]
-        result += self.total_torque(theta, q, qd, qdd)[:, :, None] * slopes.volts_per_torque
-        result += np.asarray(qd)[:, :, None] * slopes.emf
         return result

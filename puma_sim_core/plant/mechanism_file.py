@@ -17,12 +17,13 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from puma_sim_core.arm.parameters import load_parameters
+from puma_sim_core.checks import Reader
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.files import read_yaml
 from puma_sim_core.plant.arm_mechanism import WIDTHS, ArmMechanism
-from puma_sim_core.plant.entries import Reader
 from puma_sim_core.plant.mechanism import MECHANISM_FORMAT, Mechanism
 from puma_sim_core.plant.model_file import load_model
 from puma_sim_core.plant.one_joint import OneJoint
@@ -32,83 +33,68 @@ from puma_sim_core.resources import config_path
 KINDS = ("arm", "pendulum", "slide")
 
 
-def read_mechanism(path: str | os.PathLike) -> Mechanism:
+def read_mechanism(path: str | os.PathLike[str]) -> Mechanism:
     """The mechanism of a file.
 
-    Raises
-    ------
-    ParameterError : names the file, the key, what is wrong and what was expected.
+    Raises ParameterError: names the file, the key, what is wrong and what was expected.
     """
-    mapping = read_yaml(path)
-    reader = Reader(str(path))
-    if not isinstance(mapping, Mapping) or mapping.get("format") != MECHANISM_FORMAT:
-        found = mapping.get("format") if isinstance(mapping, Mapping) else mapping
-        reader.fail("format", f"{found!r}"[:80], f"'{MECHANISM_FORMAT}'")
-    kind = mapping.get("kind")
-    if kind not in KINDS:
-        reader.fail("kind", f"{kind!r}"[:80], f"one of {', '.join(KINDS)}")
-    if kind == "arm":
+    mapping, reader = read_yaml(path), Reader(str(path))
+    found = mapping.get("format") if isinstance(mapping, Mapping) else mapping
+    if found != MECHANISM_FORMAT:
+        reader.fail("format", f"{found!r}", f"'{MECHANISM_FORMAT}'")
+    if reader.choice(mapping.get("kind"), "kind", KINDS) == "arm":
         return _arm(reader, mapping, Path(path).parent)
     return OneJointMechanism.of(OneJoint.from_mapping(mapping, str(path)))
 
 
-def _arm(reader: Reader, mapping: Mapping, folder: Path) -> ArmMechanism:
-    reader.keys(
-        mapping, "", ("format", "name", "kind", "parameters", "viscous_friction", "torque_scale", "relative_deviation")
-    )
-    source = reader.text(mapping["parameters"], "parameters")
+def _arm(reader: Reader, mapping: Mapping[str, Any], folder: Path) -> ArmMechanism:
+    names = ("format", "name", "kind", "parameters", "viscous_friction", "torque_scale", "relative_deviation")
+    reader.keys(mapping, "", names)
+    source = reader.text(mapping["parameters"], "parameters", 1)
     beside = folder / source
     arm = load_parameters(beside if beside.is_file() else source)
-    viscous = reader.triple(mapping["viscous_friction"], "viscous_friction", "N.m.s/rad", 0.0)
-    scale = reader.triple(mapping["torque_scale"], "torque_scale", "N.m", 1e-9)
-    shares = mapping["relative_deviation"]
-    reader.keys(shares, "relative_deviation", WIDTHS)
-    widths = {}
-    for name in WIDTHS:
-        key = f"relative_deviation.{name}"
-        entry = reader.entry(shares[name], key, "1")
-        widths[name] = reader.number(entry["value"], f"{key}.value", 0.0, 1.0)
-    return ArmMechanism.of(arm, viscous, widths, scale, name=reader.text(mapping["name"], "name"))
+
+    def three(key: str, unit: str, low: float) -> tuple[float, ...]:
+        return reader.numbers(reader.entry(mapping[key], key, unit)["value"], f"{key}.value", 3, low)
+
+    viscous, scale = three("viscous_friction", "N.m.s/rad", 0.0), three("torque_scale", "N.m", 1e-9)
+    shares = reader.keys(mapping["relative_deviation"], "relative_deviation", WIDTHS)
+    widths = {name: reader.quantity(shares[name], f"relative_deviation.{name}", "1", 0.0, 1.0) for name in WIDTHS}
+    return ArmMechanism.of(arm, viscous, widths, scale, name=reader.text(mapping["name"], "name", 1))
 
 
 def mechanism_names() -> list[str]:
-    """Names of the mechanisms of the house, the default one first."""
+    """Names of the mechanisms that ship with the package, the default one first."""
     names = sorted(path.stem for path in config_path("mechanisms").glob("*.yaml"))
     return sorted(names, key=lambda name: name != "puma560")
 
 
 def load_mechanism(
-    name_or_path: str | os.PathLike = "puma560",
+    name_or_path: str | os.PathLike[str] = "puma560",
     *,
     parameters: str | None = None,
-    model: str | os.PathLike | None = None,
+    model: str | os.PathLike[str] | None = None,
 ) -> Mechanism:
-    """Read and check a mechanism of the house by its name, or a file by its path.
+    """Read and check a mechanism that ship with the package by its name, or a file by its path.
 
     Parameters
     ----------
     parameters : published set or parameter file of an arm whose numbers are the start.
     model : model file whose numbers and effects are the start.
 
-    Raises
-    ------
-    ParameterError, ModelError : no such mechanism or file, or one that is not usable; names the
-        file and the key.
+    Raises ParameterError, ModelError: no such mechanism or file, or one that is not usable; names the file and the key.
     """
     path, names = Path(name_or_path), mechanism_names()
     if str(name_or_path) in names:
         path = config_path("mechanisms", f"{name_or_path}.yaml")
     elif not path.is_file():
-        raise ParameterError(
-            f"no mechanism or file '{name_or_path}'", expected=f"the path of a YAML file or one of {', '.join(names)}"
-        )
+        expected = f"the path of a YAML file or one of {', '.join(names)}"
+        raise ParameterError(f"no mechanism or file '{name_or_path}'", expected=expected)
     mechanism = read_mechanism(path)
     if parameters is not None:
         if not isinstance(mechanism, ArmMechanism):
-            raise ParameterError(
-                f"parameters '{parameters}' with mechanism '{mechanism.name}'",
-                expected="parameters of an arm with an arm only",
-            )
+            what = f"parameters '{parameters}' with mechanism '{mechanism.name}'"
+            raise ParameterError(what, expected="parameters of an arm with an arm only")
         mechanism = mechanism.with_arm(load_parameters(parameters))
     if model is not None:
         mechanism = mechanism.of_plant(load_model(model))

@@ -13,74 +13,52 @@ lever, and gravity down that lever at q = 0. All effects of joints work on it as
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 from puma_sim_core import __version__
 from puma_sim_core.arm.arm import ArmParameters, Link, Motor
+from puma_sim_core.checks import Reader
 from puma_sim_core.effects import VISCOUS, Effect, Kind
 from puma_sim_core.effects.base import ROTOR_INERTIA, SEVERAL_JOINTS, VOLTAGE_DRIVE
 from puma_sim_core.errors import ParameterError
-from puma_sim_core.plant.entries import Reader
-from puma_sim_core.plant.mechanism import MECHANISM_FORMAT, MechanismParameter
+from puma_sim_core.plant.mechanism import MECHANISM_FORMAT, MechanismParameter, linear_unit
 from puma_sim_core.plant.plant import MODEL_FORMAT, Plant, effect_mapping, effects_of_mapping, made_of_model
 
-_UNITS = {
-    "pendulum": {
-        "mass": "kg",
-        "length": "m",
-        "lever_inertia": "kg.m^2",
-        "gravity": "m/s^2",
-        "resistance": "ohm",
-        "inductance": "H",
-        "back_emf": "V.s/rad",
-        "torque_constant": "N.m/A",
-        "gear_ratio": "1",
-        "motor_inertia": "kg.m^2",
-        "viscous_friction": "N.m.s/rad",
-        "gain": ("N.m/V", "N.m/A"),
-    },
-    "slide": {
-        "mass": "kg",
-        "resistance": "ohm",
-        "inductance": "H",
-        "back_emf": "V.s/rad",
-        "torque_constant": "N.m/A",
-        "gear_ratio": "rad/m",
-        "motor_inertia": "kg",
-        "viscous_friction": "N.s/m",
-        "gain": ("N/V", "N/A"),
-    },
+#: units of a file, the first of several as the default
+_PENDULUM: dict[str, tuple[str, ...]] = {
+    "mass": ("kg",),
+    "length": ("m",),
+    "lever_inertia": ("kg.m^2",),
+    "gravity": ("m/s^2",),
+    "resistance": ("ohm",),
+    "inductance": ("H",),
+    "back_emf": ("V.s/rad",),
+    "torque_constant": ("N.m/A",),
+    "gear_ratio": ("1",),
+    "motor_inertia": ("kg.m^2",),
+    "viscous_friction": ("N.m.s/rad",),
+    "gain": ("N.m/V", "N.m/A"),
 }
+_SLIDE = {"gear_ratio": ("rad/m",), "motor_inertia": ("kg",), "viscous_friction": ("N.s/m",), "gain": ("N/V", "N/A")}
+_UNITS = {"pendulum": _PENDULUM, "slide": _PENDULUM | _SLIDE}
 _BODY = {"pendulum": ("mass", "length", "lever_inertia", "gravity"), "slide": ("mass",)}
-_DRIVE = {
-    "voltage": (
-        "resistance",
-        "inductance",
-        "back_emf",
-        "torque_constant",
-        "gear_ratio",
-        "motor_inertia",
-        "viscous_friction",
-    ),
-    "current": ("gain", "motor_inertia", "viscous_friction"),
-}
+_MOTOR = ("resistance", "inductance", "back_emf", "torque_constant", "gear_ratio")
+_ROTOR = ("motor_inertia", "viscous_friction")
+_DRIVE = {"voltage": _MOTOR + _ROTOR, "current": ("gain", *_ROTOR)}
 #: what a file may leave out; without back_emf it is the torque constant, as in any DC motor
-_OPTIONAL = {
-    "lever_inertia": 0.0,
+_OPTIONAL: dict[str, Any] = {
+    **dict.fromkeys(("lever_inertia", "inductance", "motor_inertia", "viscous_friction"), 0.0),
     "gravity": 9.81,
-    "inductance": 0.0,
     "gear_ratio": 1.0,
-    "motor_inertia": 0.0,
-    "viscous_friction": 0.0,
     "back_emf": None,
 }
 _MAY_BE_ZERO = {"lever_inertia", "inductance", "motor_inertia", "viscous_friction", "mass", "gravity"}
+_WIDTHS = ("deviation", "relative_deviation", "known")
 #: L/R that a step of the kernel resolves [s]; a smaller one is negligible beside any motion here
 _LEAST_LAG = 5e-4
-#: units of effects on a slide for those of a turning joint
-_LINEAR = {"N.m": "N", "rad": "m", "rad/s": "m/s", "N.m/rad": "N/m", "N.m.s/rad": "N.s/m", "N.m.s2/rad2": "N.s2/m2"}
 
 
 @dataclass(frozen=True)
@@ -88,12 +66,10 @@ class OneJoint:
     """The numbers of a mechanism of one joint, with their priors.
 
     kind : "pendulum" or "slide"; amplifier : "voltage" or "current"; limits : range of the joint
-    [rad or m]; torque_scale : size of a middling friction [N.m or N]; parameters : in the order of
+    [rad or m]; torque_scale : nominal friction [N.m or N]; parameters : in the order of
     a file, without those that it leaves out.
 
-    Raises
-    ------
-    ParameterError : numbers that no such mechanism can have.
+    Raises ParameterError: numbers that no such mechanism can have.
     """
 
     name: str
@@ -104,188 +80,123 @@ class OneJoint:
     parameters: tuple[MechanismParameter, ...]
     sources: Mapping[str, str] = field(default_factory=dict, compare=False, repr=False)
 
-    def __post_init__(self):
-        v = self.values
+    def __post_init__(self) -> None:
+        v, where = self.values, f"mechanism '{self.name}'"
         if not v["mass"] + v["motor_inertia"] + v.get("lever_inertia", 0.0) > 0.0:
-            raise ParameterError(
-                "nothing that is inert",
-                where=f"mechanism '{self.name}'",
-                expected="mass, motor_inertia or lever_inertia above 0",
-            )
+            expected = "mass, motor_inertia or lever_inertia above 0"
+            raise ParameterError("nothing that is inert", where=where, expected=expected)
         if self.amplifier == "voltage" and 0.0 < v["inductance"] < _LEAST_LAG * v["resistance"]:
-            raise ParameterError(
-                f"inductance {v['inductance']:g} H with {v['resistance']:g} ohm: a time constant "
-                f"of {1e3 * v['inductance'] / v['resistance']:.3g} ms",
-                where=f"mechanism '{self.name}'",
-                expected=f"0 where it is negligible, or L/R of {1e3 * _LEAST_LAG:g} ms or more",
-            )
+            lag = f"a time constant of {1e3 * v['inductance'] / v['resistance']:.3g} ms"
+            what = f"inductance {v['inductance']:g} H with {v['resistance']:g} ohm: {lag}"
+            expected = f"0 where it is negligible, or L/R of {1e3 * _LEAST_LAG:g} ms or more"
+            raise ParameterError(what, where=where, expected=expected)
 
     @cached_property
     def values(self) -> dict[str, float]:
         """name -> value of all numbers, with those that the file leaves out."""
         return completed({p.name: p.value for p in self.parameters})
 
-    @property
-    def position_unit(self) -> str:
-        return "m" if self.kind == "slide" else "rad"
-
-    @property
-    def effort_unit(self) -> str:
-        return "N" if self.kind == "slide" else "N.m"
-
     def unit_of(self, unit: str) -> str:
         """The unit here of an effect's parameter that has `unit` on a turning joint."""
-        return _LINEAR.get(unit, unit) if self.kind == "slide" else unit
+        return linear_unit(unit) if self.kind == "slide" else unit
 
     def with_values(self, values: Mapping[str, float]) -> OneJoint:
         """The mechanism with numbers replaced; priors keep their width in proportion."""
-        found = []
-        for p in self.parameters:
-            value = float(values.get(p.name, p.value))
-            share = abs(value / p.value) if p.value else 1.0
-            found.append(replace(p, value=value, deviation=p.deviation * share))
-        return replace(self, parameters=tuple(found))
 
-    # ---------------------------------------------------------------------------------- files
+        def moved(p: MechanismParameter) -> MechanismParameter:
+            value = float(values.get(p.name, p.value))
+            return replace(p, value=value, deviation=p.deviation * (abs(value / p.value) if p.value else 1.0))
+
+        return replace(self, parameters=tuple(map(moved, self.parameters)))
 
     @classmethod
-    def from_mapping(cls, mapping: Mapping, where: str | None = None) -> OneJoint:
+    def from_mapping(cls, mapping: Mapping[str, Any], where: str | None = None) -> OneJoint:
         """From the mapping of a mechanism file.
 
-        Raises
-        ------
-        ParameterError : names the key, what is wrong and what was expected.
+        Raises ParameterError: names the key, what is wrong and what was expected.
         """
         reader = Reader(where)
-        reader.keys(
-            mapping, "", ("format", "name", "kind", "range", "torque_scale", "body", "drive"), optional=("format",)
-        )
-        kind = mapping["kind"]
-        if kind not in _UNITS:
-            reader.fail("kind", f"{kind!r}"[:80], "pendulum or slide")
-        slide = kind == "slide"
-        low, high = _range(reader, mapping["range"], "m" if slide else "rad")
-        scale = reader.entry(mapping["torque_scale"], "torque_scale", "N" if slide else "N.m")
+        names = ("format", "name", "kind", "range", "torque_scale", "body", "drive")
+        reader.keys(mapping, "", names, optional=("format",))
+        kind = reader.choice(mapping["kind"], "kind", _UNITS)
+        rad, effort = ("m", "N") if kind == "slide" else ("rad", "N.m")
+        low, high = reader.numbers(reader.entry(mapping["range"], "range", rad)["value"], "range.value", 2)
+        if not low < high:
+            reader.fail("range.value", f"from {low:g} to {high:g}", "the lower end first")
+        scale = reader.quantity(mapping["torque_scale"], "torque_scale", effort, 1e-9)
         drive = mapping["drive"]
-        if not isinstance(drive, Mapping) or drive.get("amplifier") not in _DRIVE:
-            found = drive.get("amplifier") if isinstance(drive, Mapping) else drive
-            reader.fail("drive.amplifier", f"{found!r}"[:80], "voltage or current")
-        amplifier = drive["amplifier"]
-        numbers = {key: value for key, value in drive.items() if key != "amplifier"}
-        parameters = [
+        found = drive.get("amplifier") if isinstance(drive, Mapping) else drive
+        amplifier = reader.choice(found, "drive.amplifier", _DRIVE)
+        motor = {key: value for key, value in drive.items() if key != "amplifier"}
+        parameters = (
             *_numbers(reader, mapping["body"], "body", _BODY[kind], _UNITS[kind]),
-            *_numbers(reader, numbers, "drive", _DRIVE[amplifier], _UNITS[kind]),
-        ]
-        sources = {
-            key: str(entry["source"])
-            for group in (mapping["body"], numbers)
-            for key, entry in group.items()
-            if "source" in entry
-        }
-        for key in ("range", "torque_scale"):
-            if "source" in mapping[key]:
-                sources[key] = mapping[key]["source"]
+            *_numbers(reader, motor, "drive", _DRIVE[amplifier], _UNITS[kind]),
+        )
+        name = reader.text(mapping["name"], "name", 1)
+        sources = {key.rpartition(".")[2]: text for key, text in reader.sources.items()}
         try:
-            return cls(
-                reader.text(mapping["name"], "name"),
-                kind,
-                amplifier,
-                (low, high),
-                reader.number(scale["value"], "torque_scale.value", 1e-9),
-                tuple(parameters),
-                sources,
-            )
+            return cls(name, kind, amplifier, (low, high), scale, parameters, sources)
         except ParameterError as error:
-            place = ": ".join(str(part) for part in (where, error.where) if part)
-            if where is None or str(error.where or "").startswith(where):
-                raise
+            place = error.where if where is None else f"{where}: {error.where}"
             raise ParameterError(error.what, where=place, expected=error.expected) from None
 
-    def to_mapping(self) -> dict:
+    def to_mapping(self) -> dict[str, Any]:
         """The mapping of a mechanism file that loads to an equal value."""
 
-        def entry(name, value, unit, p=None):
-            result = {"value": value, "unit": unit}
-            if p is not None:
-                result.update({"known": True} if p.known else {"deviation": p.deviation})
-            if name in self.sources:
-                result["source"] = self.sources[name]
-            return result
+        def entry(name: str, value: object, unit: str, **width: object) -> dict[str, Any]:
+            source = {"source": self.sources[name]} if name in self.sources else {}
+            return {"value": value, "unit": unit, **width, **source}
 
-        groups = {
-            key: {p.name: entry(p.name, p.value, p.unit, p) for p in self.parameters if p.name in names}
-            for key, names in (("body", _BODY[self.kind]), ("drive", _DRIVE[self.amplifier]))
-        }
+        def group(names: Sequence[str]) -> dict[str, Any]:
+            own = [p for p in self.parameters if p.name in names]
+            widths = [{"known": True} if p.known else {"deviation": p.deviation} for p in own]
+            return {p.name: entry(p.name, p.value, p.unit, **width) for p, width in zip(own, widths)}
+
         return {
             "format": MECHANISM_FORMAT,
             "name": self.name,
             "kind": self.kind,
-            "range": entry("range", list(self.limits), self.position_unit),
-            "torque_scale": entry("torque_scale", self.torque_scale, self.effort_unit),
-            "body": groups["body"],
-            "drive": {"amplifier": self.amplifier, **groups["drive"]},
+            "range": entry("range", list(self.limits), self.unit_of("rad")),
+            "torque_scale": entry("torque_scale", self.torque_scale, self.unit_of("N.m")),
+            "body": group(_BODY[self.kind]),
+            "drive": {"amplifier": self.amplifier, **group(_DRIVE[self.amplifier])},
         }
 
 
-def completed(values: dict) -> dict:
+def completed(values: Mapping[str, Any]) -> dict[str, Any]:
     """Numbers with those that a file may leave out; real or complex."""
+    found = {**_OPTIONAL, **values}
     if "gain" in values:
         # one ampere or volt of command is one ampere here, and gives `gain`
-        values = {
-            **values,
-            "resistance": 1.0,
-            "inductance": 0.0,
-            "back_emf": 0.0,
-            "torque_constant": values["gain"],
-            "gear_ratio": 1.0,
-        }
-    values = {**_OPTIONAL, **values}
-    if values["back_emf"] is None:
-        values["back_emf"] = values["torque_constant"]
-    return values
+        found |= {"resistance": 1.0, "inductance": 0.0, "back_emf": 0.0, "gear_ratio": 1.0}
+        found["torque_constant"] = values["gain"]
+    if found["back_emf"] is None:
+        found["back_emf"] = found["torque_constant"]
+    return found
 
 
-def _range(reader: Reader, entry, unit: str) -> tuple[float, float]:
-    values = reader.entry(entry, "range", unit)["value"]
-    if not isinstance(values, (list, tuple)) or len(values) != 2:
-        reader.fail("range.value", f"{values!r}"[:80], "the lower and the upper end")
-    low, high = (reader.number(value, "range.value") for value in values)
-    if not low < high:
-        reader.fail("range.value", f"from {low:g} to {high:g}", "the lower end first")
-    return low, high
-
-
-def _numbers(reader: Reader, group, key: str, names, units) -> list[MechanismParameter]:
+def _numbers(
+    reader: Reader, group: Any, key: str, names: Sequence[str], units: Mapping[str, tuple[str, ...]]
+) -> Iterator[MechanismParameter]:
     """The parameters of one group of a file."""
-    reader.keys(group, key, names, optional=tuple(_OPTIONAL))
-    found = []
+    reader.keys(group, key, names, optional=_OPTIONAL)
     for name in names:
         if name not in group:
             continue
-        at, unit = f"{key}.{name}", units[name]
-        if not isinstance(unit, str):
-            given = group[name].get("unit") if isinstance(group[name], Mapping) else None
-            if given is not None and given not in unit:
-                reader.fail(f"{at}.unit", f"unit '{given}'"[:80], " or ".join(unit))
-            unit = given or " or ".join(unit)
-        entry = reader.entry(group[name], at, unit, further=("deviation", "relative_deviation", "known"))
-        low = 0.0 if name in _MAY_BE_ZERO else 1e-12
-        value = reader.number(entry["value"], f"{at}.value", low)
-        widths = [word for word in ("deviation", "relative_deviation", "known") if word in entry]
-        if len(widths) != 1 or ("known" in entry and entry["known"] is not True):
-            reader.fail(
-                at,
-                " and ".join(widths) or "no width of its prior",
-                "one of deviation, relative_deviation or known: true",
-            )
-        deviation = 0.0
-        if widths[0] != "known":
-            deviation = reader.number(entry[widths[0]], f"{at}.{widths[0]}", 1e-12)
-            deviation *= value if widths[0] == "relative_deviation" else 1.0
-        if widths[0] != "known" and value == 0.0:
-            reader.fail(at, "0 with a prior", "known: true, or a start above 0")
-        found.append(MechanismParameter(name, unit, value, deviation, known=widths[0] == "known"))
-    return found
+        at = f"{key}.{name}"
+        entry = reader.entry(group[name], at, *units[name], further=_WIDTHS)
+        value = reader.number(entry["value"], f"{at}.value", 0.0 if name in _MAY_BE_ZERO else 1e-12)
+        widths = [word for word in _WIDTHS if word in entry]
+        if len(widths) != 1 or entry.get("known", True) is not True:
+            what = " and ".join(widths) or "no width of its prior"
+            reader.fail(at, what, "one of deviation, relative_deviation or known: true")
+        (word,), deviation = widths, 0.0
+        if word != "known":
+            deviation = reader.number(entry[word], f"{at}.{word}", 1e-12)
+            deviation *= value if word == "relative_deviation" else 1.0
+            if value == 0.0:
+                reader.fail(at, "0 with a prior", "known: true, or a start above 0")
+        yield MechanismParameter(name, str(entry["unit"]), value, deviation, known=word == "known")
 
 
 def carrier(body: OneJoint, values: Mapping[str, float]) -> ArmParameters:
@@ -293,20 +204,13 @@ def carrier(body: OneJoint, values: Mapping[str, float]) -> ArmParameters:
     mass, slide = values["mass"], body.kind == "slide"
     # a slide's mass stands at a radius of 1 m, so that its inertia is the mass
     radius = 1.0 if slide else values["length"]
-    heavy = mass if mass > 0.0 else 1.0
+    positive = mass if mass > 0.0 else 1.0
     inertia = mass * radius**2 + (0.0 if slide else values["lever_inertia"])
     # the held links have inertia too, so that the whole arm's is positive definite
     ballast = inertia + values["motor_inertia"]
     held = (Link(ballast, (0.0, 0.0, 0.0), (0.0, 1.0, 0.0)), Link(ballast, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
-    link = Link(heavy, (0.0, 0.0, 0.0 if slide else radius * mass / heavy), (0.0, inertia / heavy, 0.0))
-    motor = Motor(
-        values["resistance"],
-        values["inductance"],
-        values["back_emf"],
-        values["torque_constant"],
-        values["gear_ratio"],
-        values["motor_inertia"],
-    )
+    link = Link(positive, (0.0, 0.0, 0.0 if slide else radius * mass / positive), (0.0, inertia / positive, 0.0))
+    motor = Motor(**{name: values[name] for name in _MOTOR}, inertia=values["motor_inertia"])
     # with its base upside down the link hangs at q = 0
     return ArmParameters(
         body.name,
@@ -342,40 +246,34 @@ class OneJointPlant(Plant):
     `effects` are on joint 1, in rad and N.m, or in m and N; voltages, positions and states have
     one column. Some effects have no meaning here: see `obstacle`.
 
-    Raises
-    ------
-    ParameterError : such an effect, or one on another joint.
+    Raises ParameterError: such an effect, or one on another joint.
     """
 
-    body: OneJoint = None
+    body: OneJoint = field(kw_only=True)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for effect in self.effects:
             where, values = f"effect {effect.kind.name}", effect.on(self.arm).values
             reason = obstacle(self.body, effect.kind)
             if reason is not None:
                 raise ParameterError(reason[0], where=where, expected=reason[1])
             if effect.joint not in (None, 1):
-                raise ParameterError(
-                    f"joint {effect.joint}", where=where, expected=f"joint=1: '{self.body.name}' has one joint"
-                )
+                expected = f"joint=1: '{self.body.name}' has one joint"
+                raise ParameterError(f"joint {effect.joint}", where=where, expected=expected)
             if effect.kind.load is not None and (
                 values["x"] != 0.0 or values["y"] != 0.0 or (self.body.kind == "slide" and values["z"] != 1.0)
             ):
-                raise ParameterError(
-                    f"beside the {self.body.kind}",
-                    where=where,
-                    expected="a mass alone, or z along the lever of a pendulum",
-                )
+                expected = "a mass alone, or z along the lever of a pendulum"
+                raise ParameterError(f"beside the {self.body.kind}", where=where, expected=expected)
         super().__post_init__()
 
     @classmethod
-    def of(cls, body: OneJoint, effects: Iterable[Effect] = (), values: Mapping | None = None) -> OneJointPlant:
+    def of(  # type: ignore[override]
+        cls, body: OneJoint, effects: Iterable[Effect] = (), values: Mapping[str, float] | None = None
+    ) -> OneJointPlant:
         """The plant of a mechanism; `values` replace numbers of it by name.
 
-        Raises
-        ------
-        ParameterError : an effect that cannot be on it.
+        Raises ParameterError: an effect that cannot be on it.
         """
         body = body if not values else body.with_values(values)
         return cls(carrier(body, body.values), tuple(effects), body=body)
@@ -386,7 +284,7 @@ class OneJointPlant(Plant):
 
     @property
     def position_unit(self) -> str:
-        return self.body.position_unit
+        return self.body.unit_of("rad")
 
     @property
     def kernel_effects(self) -> tuple[Effect, ...]:
@@ -397,7 +295,7 @@ class OneJointPlant(Plant):
         own = self.body.values["viscous_friction"]
         return (0.0, 0.0, own + sum(e.values["coefficient"] for e in self.effects if e.kind is VISCOUS))
 
-    def to_mapping(self) -> dict:
+    def to_mapping(self) -> dict[str, Any]:
         return {
             "format": MODEL_FORMAT,
             "version": __version__,
@@ -406,13 +304,11 @@ class OneJointPlant(Plant):
         }
 
     @classmethod
-    def from_mapping(cls, mapping: Mapping, where: str | None = None) -> OneJointPlant:
+    def from_mapping(cls, mapping: Mapping[str, Any], where: str | None = None) -> OneJointPlant:
         """The inverse of `to_mapping`; raises ModelError as `Plant.from_mapping`."""
 
-        def make():
-            Reader(None).keys(
-                mapping, "", ("format", "version", "mechanism", "effects"), optional=("version", "effects")
-            )
+        def make() -> OneJointPlant:
+            Reader(None).keys(mapping, "", ("format", "version", "mechanism", "effects"), ("version", "effects"))
             body = OneJoint.from_mapping(mapping["mechanism"], "mechanism")
             return cls.of(body, effects_of_mapping(mapping, body.unit_of))
 

@@ -12,11 +12,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, TypeVar
 
 from puma_sim_core import __version__
 from puma_sim_core.arm.arm import ArmParameters
 from puma_sim_core.arm.parameters import from_mapping, load_parameters, to_mapping
 from puma_sim_core.arm.rigid_body import Lumps, lumped_constants
+from puma_sim_core.arm.third_order import TORQUE_FORMS, joint_torque_per_ampere
+from puma_sim_core.checks import check_choice
 from puma_sim_core.dynamics.types import Constants, Drive, Model
 from puma_sim_core.effects import KINDS, VISCOUS, Effect
 from puma_sim_core.effects.base import Stage
@@ -25,8 +28,6 @@ from puma_sim_core.errors import ModelError, ParameterError
 from puma_sim_core.plant.drive_train import DriveTrains
 
 MODEL_FORMAT = "puma-sim model 1"
-#: equation 5.2 as physics has it, F = N kt i, and as it is printed, F = kt i
-TORQUE_FORMS = ("physical", "printed")
 
 
 @dataclass(frozen=True)
@@ -49,9 +50,8 @@ class Plant:
     effects: tuple[Effect, ...] = ()
     torque_form: str = "physical"
 
-    def __post_init__(self):
-        if self.torque_form not in TORQUE_FORMS:
-            raise ParameterError(f"torque_form '{self.torque_form}'", expected=" or ".join(TORQUE_FORMS))
+    def __post_init__(self) -> None:
+        check_choice(self.torque_form, "torque_form", TORQUE_FORMS)
         effects = tuple(effect.on(self.arm) for effect in self.effects)
         check_distinct(effects)
         object.__setattr__(self, "effects", effects)
@@ -91,31 +91,30 @@ class Plant:
                 arm = effect.kind.load(arm, effect.values)
         return arm
 
+    @property
+    def gear_ratios(self) -> list[float]:
+        """Gear ratio [-] of each motor."""
+        return [motor.gear_ratio for motor in self.arm.motors]
+
     @cached_property
     def torque_per_ampere(self) -> tuple[float, float, float]:
         """Torque at the joints per motor current, kT [N.m/A]; equation 5.2."""
-        return tuple(
-            m.torque_constant * (m.gear_ratio if self.torque_form == "physical" else 1.0) for m in self.arm.motors
-        )
+        first, second, third = joint_torque_per_ampere(self.arm, self.torque_form).tolist()
+        return first, second, third
 
     @cached_property
     def viscous_friction(self) -> tuple[float, float, float]:
         """Viscous friction at the joints, H [N.m.s/rad]."""
         found = {e.joint: e.values["coefficient"] for e in self.effects if e.kind is VISCOUS}
-        return tuple(found.get(joint, 0.0) for joint in (1, 2, 3))
+        return found.get(1, 0.0), found.get(2, 0.0), found.get(3, 0.0)
 
     @cached_property
     def constants(self) -> Constants:
         """What the step needs of this plant; the table is a list."""
-        drive = []
-        for motor, kT, H in zip(self.arm.motors, self.torque_per_ampere, self.viscous_friction):
-            drive += [
-                1.0 / motor.inductance if motor.inductance else 0.0,
-                float(motor.resistance),
-                float(motor.back_emf * motor.gear_ratio),
-                float(kT),
-                H,
-            ]
+        drive: list[float] = []
+        for m, kT, H in zip(self.arm.motors, self.torque_per_ampere, self.viscous_friction):
+            admittance = 1.0 / m.inductance if m.inductance else 0.0
+            drive += [admittance, float(m.resistance), float(m.back_emf * m.gear_ratio), float(kT), H]
         effects = tuple(e for e in self.kernel_effects if not vanishes(e))
         active, arm, table = active_stages(effects), self.loaded_arm, pack(effects)
         if active & Stage.TWO_MASS:
@@ -129,7 +128,7 @@ class Plant:
             active |= Stage.ALGEBRAIC.value
         return Constants(Model(body, Drive(*drive), active), table)
 
-    def to_mapping(self) -> dict:
+    def to_mapping(self) -> dict[str, Any]:
         """Plain values of a model file; every digit is kept."""
         return {
             "format": MODEL_FORMAT,
@@ -140,7 +139,7 @@ class Plant:
         }
 
     @classmethod
-    def from_mapping(cls, mapping: Mapping, where: str | None = None) -> Plant:
+    def from_mapping(cls, mapping: Mapping[str, Any], where: str | None = None) -> Plant:
         """The inverse of `to_mapping`; see `model_file.plant_of_mapping` for any plant.
 
         Raises
@@ -151,44 +150,36 @@ class Plant:
         if not isinstance(mapping, Mapping) or "format" not in mapping:
             raise ModelError("no model", where=where, expected=f"a mapping with format: {MODEL_FORMAT}")
         if mapping["format"] != MODEL_FORMAT:
-            raise ModelError(
-                f"format '{mapping['format']}'",
-                where=where,
-                expected=f"'{MODEL_FORMAT}', which version {__version__} reads",
-            )
+            expected = f"'{MODEL_FORMAT}', which version {__version__} reads"
+            raise ModelError(f"format '{mapping['format']}'", where=where, expected=expected)
         known = ("format", "version", "torque_form", "parameters", "effects")
         for key in mapping:
             if key not in known:
                 raise ModelError(f"unknown key '{key}'", where=where, expected=f"one of {', '.join(known)}")
         if "parameters" not in mapping:
             raise ModelError("'parameters' is missing", where=where, expected="the name of a set, or its numbers")
-        source = mapping["parameters"]
-        arm = (
-            load_parameters(source)
-            if isinstance(source, str)
-            else from_mapping(source, where and f"{where}: parameters")
-        )
-        return made_of_model(
-            lambda: cls(arm, effects_of_mapping(mapping), mapping.get("torque_form", "physical")), where
-        )
+        source, form = mapping["parameters"], mapping.get("torque_form", "physical")
+        named = isinstance(source, str)
+        arm = load_parameters(source) if named else from_mapping(source, where and f"{where}: parameters")
+        return made_of_model(lambda: cls(arm, effects_of_mapping(mapping), form), where)
 
 
-def made_of_model(make: Callable[[], Plant], where: str | None) -> Plant:
+T = TypeVar("T")
+
+
+def made_of_model(make: Callable[[], T], where: str | None) -> T:
     """What `make` gives, with its ParameterError as a ModelError that names the file."""
     try:
         return make()
     except ParameterError as error:
-        raise ModelError(
-            error.what, where=" ".join(filter(None, (where, error.where))), expected=error.expected
-        ) from None
+        place = " ".join(str(part) for part in (where, error.where) if part)
+        raise ModelError(error.what, where=place or None, expected=error.expected) from None
 
 
-def effects_of_mapping(mapping: Mapping, unit_of: Callable[[str], str] = str) -> tuple[Effect, ...]:
+def effects_of_mapping(mapping: Mapping[str, Any], unit_of: Callable[[str], str] = str) -> tuple[Effect, ...]:
     """The effects of a model file; unit_of: the unit there for that of a kind's parameter.
 
-    Raises
-    ------
-    ParameterError : names the effect and what is wrong with it.
+    Raises ParameterError: names the effect and what is wrong with it.
     """
     effects = mapping.get("effects") or []
     if not isinstance(effects, list):
@@ -196,38 +187,28 @@ def effects_of_mapping(mapping: Mapping, unit_of: Callable[[str], str] = str) ->
     return tuple(_effect_of(entry, unit_of) for entry in effects)
 
 
-def effect_mapping(effect: Effect, unit_of: Callable[[str], str] = str) -> dict:
+def effect_mapping(effect: Effect, unit_of: Callable[[str], str] = str) -> dict[str, Any]:
     """The entry of an effect in a model file; unit_of as in `effects_of_mapping`."""
     units = {p.name: unit_of(p.unit) for p in effect.kind.parameters}
     joint = {} if effect.joint is None else {"joint": effect.joint}
-    return {
-        "name": effect.kind.name,
-        **joint,
-        **{name: {"value": value, "unit": units[name]} for name, value in effect.values.items()},
-    }
+    values = {name: {"value": value, "unit": units[name]} for name, value in effect.values.items()}
+    return {"name": effect.kind.name, **joint, **values}
 
 
-def _effect_of(entry, unit_of) -> Effect:
+def _effect_of(entry: Any, unit_of: Callable[[str], str]) -> Effect:
     """The effect of one entry of a model file."""
     if not isinstance(entry, Mapping) or "name" not in entry:
-        raise ParameterError(
-            f"{entry!r}", where="effects", expected="{name: ..., joint: ..., PARAMETER: {value, unit}}"
-        )
+        expected = "{name: ..., joint: ..., PARAMETER: {value, unit}}"
+        raise ParameterError(f"{entry!r}", where="effects", expected=expected)
     name = entry["name"]
     if not isinstance(name, str) or name not in KINDS:
         raise ParameterError(f"unknown effect '{name}'", where="effects", expected=f"one of {', '.join(KINDS)}")
     units = {p.name: unit_of(p.unit) for p in KINDS[name].parameters}
-    values = {}
-    for key, value in entry.items():
-        if key in ("name", "joint"):
-            continue
+    values = {key: value for key, value in entry.items() if key not in ("name", "joint")}
+    for key, value in values.items():
         if isinstance(value, Mapping):
             if set(value) != {"value", "unit"} or value["unit"] != units.get(key, value["unit"]):
-                raise ParameterError(
-                    f"{key}: {dict(value)!r}",
-                    where=f"effect {name}",
-                    expected=f"{{value: ..., unit: {units.get(key)}}}",
-                )
-            value = value["value"]
-        values[key] = value
+                expected = f"{{value: ..., unit: {units.get(key)}}}"
+                raise ParameterError(f"{key}: {dict(value)!r}", where=f"effect {name}", expected=expected)
+            values[key] = value["value"]
     return Effect(KINDS[name], entry.get("joint"), values)

@@ -10,20 +10,16 @@ reads back to the same bits.
 
 from __future__ import annotations
 
-import io
-import math
 import os
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TextIO
 
 import numpy as np
 
 from puma_sim_core.errors import RecordingError
 from puma_sim_core.files import whole_file
-from puma_sim_core.recording.csv_rows import check_count, fields_of, number_of
+from puma_sim_core.recording.csv_rows import CsvRows
 
 #: groups of three columns, in the order of a file, with the attribute that holds each
 GROUPS = ("voltage", "setpoint", "position", "velocity", "current")
@@ -33,36 +29,34 @@ _WRITTEN_AT_ONCE = 4096
 
 @dataclass(frozen=True)
 class Recording:
-    """Synchronous samples of a run.
+    """Synchronous samples of a run; None for what it has none of."""
 
-    time (n,) [s]; voltage (n, 3) [V]; position (n, 3) [rad]; velocity (n, 3) [rad/s]; current
-    (n, 3) [A]; setpoint (n, 3) [rad]; acceleration (n, 3) [rad/s^2]. All but the first are None
-    where the recording has none of them; acceleration has no columns in a file.
-    """
-
-    time: np.ndarray
-    voltage: np.ndarray | None = None
-    position: np.ndarray | None = None
-    velocity: np.ndarray | None = None
-    current: np.ndarray | None = None
-    setpoint: np.ndarray | None = None
-    acceleration: np.ndarray | None = None
+    time: np.ndarray  #: (n,) [s]
+    voltage: np.ndarray | None = None  #: (n, 3) [V]
+    position: np.ndarray | None = None  #: (n, 3) [rad]
+    velocity: np.ndarray | None = None  #: (n, 3) [rad/s]
+    current: np.ndarray | None = None  #: (n, 3) [A]
+    setpoint: np.ndarray | None = None  #: (n, 3) [rad]
+    acceleration: np.ndarray | None = None  #: (n, 3) [rad/s^2]; has no columns in a file
 
     def __len__(self) -> int:
         return len(self.time)
+
+    def states(self) -> np.ndarray:
+        """(n, 9) positions, velocities and currents side by side."""
+        return np.hstack([getattr(self, name) for name in ("position", "velocity", "current")])
 
     def columns(self) -> Iterator[tuple[str, np.ndarray]]:
         """(name, values) of each column of the file."""
         yield "time", self.time
         for group in GROUPS:
             values = getattr(self, group)
-            if values is not None:
-                for j in range(values.shape[1]):
-                    yield f"{group}{j + 1}", values[:, j]
+            for j, column in enumerate(() if values is None else values.T, start=1):
+                yield f"{group}{j}", column
 
 
 def write_rows(recording: Recording, file: TextIO, report: Callable[[int], None] = lambda rows: None) -> None:
-    """Write a recording to an open text file; `report` is told how many rows were written."""
+    """Write a recording to an open text file; `report` gets the number of rows written."""
     names, columns = zip(*recording.columns())
     file.write(",".join(names) + "\n")
     for first in range(0, len(recording), _WRITTEN_AT_ONCE):
@@ -71,177 +65,74 @@ def write_rows(recording: Recording, file: TextIO, report: Callable[[int], None]
         report(first + len(rows))
 
 
-def write_csv(recording: Recording, path: str | os.PathLike) -> None:
-    """Write a recording; the file appears complete or not at all.
-
-    Raises
-    ------
-    RecordingError : the file cannot be written.
-    """
+def write_csv(recording: Recording, path: str | os.PathLike[str]) -> None:
+    """Write a recording; the file appears complete or not at all. Raises RecordingError."""
     with whole_file(path, RecordingError) as file:
         write_rows(recording, file)
 
 
 def read_csv(
-    path: str | os.PathLike, required: Sequence[str] = ("voltage",), optional: Sequence[str] = (), joints: int = 3
+    path: str | os.PathLike[str], required: Sequence[str] = ("voltage",), optional: Sequence[str] = (), joints: int = 3
 ) -> Recording:
-    """Read a recording of so many joints with the groups of columns that are asked for.
-
-    Lines that begin with '#' are skipped. Columns may stand in any order.
+    """Read a recording of so many joints with the groups of columns that are asked for, in any order.
 
     Raises
     ------
     RecordingError : the file cannot be read, is empty, lacks a column, has an unknown or repeated
         one, a text in a number, a number that is not finite, a row that is cut off, or times that
-        do not increase; names the file, the line and the column.
+        do not increase.
     """
-    names, table = _table(
-        path, lambda names, line: _check_names(names, path, line, tuple(required), tuple(optional), joints)
-    )
-    groups = {}
-    for group in (*required, *optional):
-        columns = [f"{group}{j + 1}" for j in range(joints)]
-        if columns[0] in names:
-            groups[group] = table[:, [names.index(column) for column in columns]]
-    return Recording(time=table[:, names.index("time")].copy(), **groups)
+    columns = {group: [f"{group}{j + 1}" for j in range(joints)] for group in (*required, *optional)}
+    wanted, further = ([name for group in groups for name in columns[group]] for groups in (required, optional))
+    rows = CsvRows(path)
+    for group in optional:
+        have = [name for name in columns[group] if name in rows.names]
+        if 0 < len(have) < joints:
+            what, where = f"only {len(have)} of the columns {group}1..{joints}", f"{path}, line {rows.names_line}"
+            raise RecordingError(what, where=where, expected="all of them or none")
+    found = _columns(rows, [(wanted, further)])
+    groups = {
+        group: np.column_stack([found[name] for name in names]) for group, names in columns.items() if names[0] in found
+    }
+    return Recording(time=found["time"], **groups)
 
 
 def read_columns(
-    path: str | os.PathLike, layouts: Sequence[tuple[Sequence[str], Sequence[str]]]
+    path: str | os.PathLike[str], layouts: Sequence[tuple[Sequence[str], Sequence[str]]]
 ) -> dict[str, np.ndarray]:
     """Read a file that has, beside ``time``, the columns of one of several layouts.
 
     layouts : (names that must be there, names that may be) of each; the first whose required names
     are all there is taken.
 
-    Returns
-    -------
-    name -> (n,) values, ``time`` first.
-
-    Raises
-    ------
-    RecordingError : as `read_csv`.
+    Returns name -> (n,) values, ``time`` first. Raises RecordingError as `read_csv` does.
     """
-
-    def check(names, line):
-        where = f"{path}, line {line}"
-        fitting = next((layout for layout in layouts if {"time", *layout[0]} <= set(names)), None)
-        if fitting is None:
-            raise RecordingError(
-                f"columns {', '.join(names)}",
-                where=where,
-                expected=" or ".join(", ".join(("time", *layout[0])) for layout in layouts),
-            )
-        for name in names:
-            if name not in ("time", *fitting[0], *fitting[1]):
-                raise RecordingError(
-                    f"unknown column '{name}'",
-                    where=where,
-                    expected=f"columns among time, {', '.join((*fitting[0], *fitting[1]))}",
-                )
-            if names.count(name) > 1:
-                raise RecordingError(f"column '{name}' stands twice", where=where, expected="each column once")
-
-    names, table = _table(path, check)
-    return {name: table[:, names.index(name)].copy() for name in ("time", *(name for name in names if name != "time"))}
+    return _columns(CsvRows(path), layouts)
 
 
-def _table(path, check: Callable[[list[str], int], None]) -> tuple[list[str], np.ndarray]:
-    """Column names and rows (n, columns) of a file; `check` is given the names and their line."""
-    path = Path(path)
-    try:
-        # whole, since it may have to be read twice and may be a pipe
-        with open(path, encoding="utf-8-sig", newline="") as file:
-            text = file.read()
-    except OSError as error:
-        raise RecordingError(f"cannot be read ({error.strerror})", where=str(path), expected="a CSV file") from None
-    except UnicodeDecodeError:
-        raise RecordingError("is not text", where=str(path), expected="a CSV file") from None
-    file = io.StringIO(text, newline="")
-    numbered = ((n, line) for n, line in enumerate(file, start=1) if line.strip() and not line.lstrip().startswith("#"))
-    first = next(numbered, None)
-    if first is None:
-        raise RecordingError("is empty", where=str(path), expected="a line of column names")
-    names = [name.strip() for name in fields_of(first[1], path, first[0])]
-    check(names, first[0])
-    start = file.tell()
-    table = _clean_table(file, names)
-    if table is None:
-        file.seek(start)
-        table = _diagnosed_table(numbered, names, path)
-    return names, table
-
-
-def _clean_table(file, names) -> np.ndarray | None:
-    """Rows of numbers (n, columns) by NumPy's reader, or None where anything is unusual.
-
-    It gives the same bits as float() and is several times quicker, but cannot say what is wrong.
-    """
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # that there are no rows
-            table = np.loadtxt(file, delimiter=",", comments=None, ndmin=2, encoding="utf-8")
-    except (ValueError, UserWarning):
-        return None
-    usable = (
-        table.shape[1] == len(names)
-        and np.isfinite(table).all()
-        and (np.diff(table[:, names.index("time")]) > 0.0).all()
-    )
-    return table if usable else None
-
-
-def _diagnosed_table(numbered, names, path) -> np.ndarray:
-    """Rows of numbers (n, columns), line by line; raises RecordingError at the first fault."""
-    time = names.index("time")
-    rows = []
-    for number, line in numbered:
-        row = _row(line, names, path, number)
-        if rows and not row[time] > rows[-1][time]:
-            raise RecordingError(
-                f"time {row[time]!r} after {rows[-1][time]!r}",
-                where=f"{path}, line {number}, column time",
-                expected="times that increase",
-            )
-        rows.append(row)
-    if not rows:
-        raise RecordingError("has no rows", where=str(path), expected="at least one row of numbers")
-    return np.array(rows, dtype=float)
-
-
-def _check_names(names, path, line, required, optional, joints) -> None:
-    where = f"{path}, line {line}"
-    numbers = range(1, joints + 1)
-    wanted = ["time"] + [f"{group}{j}" for group in required for j in numbers]
-    allowed = wanted + [f"{group}{j}" for group in optional for j in numbers]
+def _columns(rows: CsvRows, layouts: Sequence[tuple[Sequence[str], Sequence[str]]]) -> dict[str, np.ndarray]:
+    path, names, where = rows.path, rows.names, f"{rows.path}, line {rows.names_line}"
+    fitting = [layout for layout in layouts if {"time", *layout[0]} <= set(names)]
+    allowed = [name for layout in fitting[:1] or layouts for name in ("time", *layout[0], *layout[1])]
     for name in names:
         if name not in allowed:
-            raise RecordingError(
-                f"unknown column '{name}'", where=where, expected=f"columns among {', '.join(allowed)}"
-            )
+            expected = f"columns among {', '.join(allowed)}"
+            raise RecordingError(f"unknown column '{name}'", where=where, expected=expected)
         if names.count(name) > 1:
             raise RecordingError(f"column '{name}' stands twice", where=where, expected="each column once")
-    for name in wanted:
-        if name not in names:
-            raise RecordingError(
-                f"column '{name}' is missing", where=where, expected=f"the columns {', '.join(wanted)}"
-            )
-    for group in optional:
-        have = [j for j in numbers if f"{group}{j}" in names]
-        if have and len(have) < joints:
-            raise RecordingError(
-                f"only {len(have)} of the columns {group}1..{joints}", where=where, expected="all three or none"
-            )
-
-
-def _row(line, names, path, number) -> list[float]:
-    fields = fields_of(line, path, number)
-    check_count(fields, names, path, number)
-    row = []
-    for name, field in zip(names, fields):
-        where = f"{path}, line {number}, column {name}"
-        value = number_of(field, where)
-        if not math.isfinite(value):
-            raise RecordingError(field.strip(), where=where, expected="a finite number")
-        row.append(value)
-    return row
+    if not fitting:
+        missing = next(name for name in ("time", *layouts[0][0]) if name not in names)
+        expected = " or ".join(f"the columns {', '.join(('time', *layout[0]))}" for layout in layouts)
+        raise RecordingError(f"column '{missing}' is missing", where=where, expected=expected)
+    blocks = list(rows.blocks(range(len(names)), finite=True))
+    if not blocks:
+        raise RecordingError("has no rows", where=str(path), expected="at least one row of numbers")
+    table = np.concatenate([block.values for block in blocks])
+    time = table[:, names.index("time")]
+    back = np.flatnonzero(~(np.diff(time) > 0.0))
+    if back.size:
+        row = int(back[0])
+        line = np.concatenate([block.lines for block in blocks])[row + 1]
+        what = f"time {float(time[row + 1])!r} after {float(time[row])!r}"
+        raise RecordingError(what, where=f"{path}, line {line}, column time", expected="times that increase")
+    return {name: table[:, names.index(name)].copy() for name in dict.fromkeys(("time", *names))}

@@ -2,18 +2,18 @@
 # Copyright the puma-sim contributors
 """Voltages on their way: what a delay of the input holds back.
 
-An amplifier at the end of a delay of T seconds gets at t exactly what was asked for at t - T. T
-need be no multiple of rows or samples: a row is integrated in the pieces between the moments at
-which the voltage that arrives changes. `Past` does that for rows of any length, `SampledDelay` for
-samples of one length, as a servo gives them.
+An amplifier at the end of a delay of T seconds gets at t exactly what was asked for at t - T. T need be no multiple of
+rows or samples: a row is integrated in the pieces between the moments at which the voltage that arrives changes. `Past`
+does that for rows of any length, `SampledDelay` for samples of one length, as a servo gives them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from puma_sim_core.dynamics.laws import combined
 from puma_sim_core.dynamics.runs import LATE_WIDTH
@@ -21,7 +21,7 @@ from puma_sim_core.effects.base import Point, Stage
 from puma_sim_core.jit import interpreted
 from puma_sim_core.simulation.run_inputs import native, step_counts
 
-_delay = combined(Point.DELAY, interpreted)
+_delay: Callable[..., float] = combined(Point.DELAY, interpreted)
 #: moments closer than this are one [s]
 _SAME = 1e-10
 
@@ -43,19 +43,17 @@ class Pieces(NamedTuple):
 class Past:
     """The voltages that were asked for, as far as they may still be on their way.
 
-    Parameters
-    ----------
     delay : T [s].
     age (k,) : falling; voltage (k, 3) [V]: asked for from age[i] seconds ago on, the first one
         since ever. Without any, the first voltage of a run counts as asked for since ever.
     """
 
-    def __init__(self, delay: float, age=(), voltage=()):
+    def __init__(self, delay: float, age: ArrayLike = (), voltage: ArrayLike = ()):
         self.delay = delay
         self.age = np.asarray(age, dtype=float)
         self.voltage = np.asarray(voltage, dtype=float).reshape(-1, 3)
 
-    def before(self, age: float, default) -> tuple[float, ...]:
+    def before(self, age: float, default: Sequence[float]) -> tuple[float, ...]:
         """Voltages [V] that were asked for `age` seconds ago."""
         if not len(self.age):
             return tuple(default)
@@ -71,9 +69,9 @@ class Past:
         volts = np.concatenate([self.voltage, voltage])
         change = asked + self.delay
         inner = change[(change > time[0]) & (change < time[-1])]
-        near = time[np.clip(np.searchsorted(time, inner), 1, len(time) - 1)]
-        near_below = time[np.clip(np.searchsorted(time, inner) - 1, 0, len(time) - 1)]
-        inner = inner[(near - inner > _SAME) & (inner - near_below > _SAME)]
+        place = np.searchsorted(time, inner)
+        after, before = (time[np.clip(n, low, len(time) - 1)] for n, low in ((place, 1), (place - 1, 0)))
+        inner = inner[(after - inner > _SAME) & (inner - before > _SAME)]
         edges = np.concatenate([time, inner])
         order = np.argsort(edges, kind="stable")
         edges = edges[order]
@@ -91,12 +89,8 @@ class SampledDelay:
     With T = M sample + f, the part f of each sample still sees the voltage asked for M + 1 samples
     ago, the rest that of M samples ago.
 
-    Parameters
-    ----------
     delay : T [s]; sample [s]; max_step : greatest step of integration [s].
-
-    Attributes
-    ----------
+    counts, steps : of integration in the two parts of a sample, and their length [s].
     table : for `runs.run_servo`: steps and their length [s] in the first part, in the rest, M + 1,
         and, joint by joint, the M + 1 voltages [V] that are on their way, the oldest first.
     """
@@ -107,22 +101,10 @@ class SampledDelay:
         first = 0.0 if first <= _SAME else first
         self._sample = sample
         self.size = whole + 1
-        self._counts, self._steps = [], []
-        for part in (first, sample - first):
-            count = int(step_counts(np.array([part]), max_step)[0]) if part > 0.0 else 0
-            self._counts.append(count)
-            self._steps.append(part / count if count else 0.0)
+        parts = (first, sample - first)
+        self.counts = [int(step_counts(np.array([part]), max_step)[0]) if part > 0.0 else 0 for part in parts]
+        self.steps = [part / count if count else 0.0 for part, count in zip(parts, self.counts)]
         self.hold((0.0, 0.0, 0.0))
-
-    @property
-    def counts(self) -> list[int]:
-        """Steps in the two parts of a sample."""
-        return self._counts
-
-    @property
-    def steps(self) -> list[float]:
-        """Length [s] of the steps in the two parts."""
-        return self._steps
 
     def hold(self, voltage: Sequence[float], past: Past | None = None) -> None:
         """Start with what `past` says was asked for, and `voltage` [V] where it says nothing."""
@@ -132,16 +114,8 @@ class SampledDelay:
         ]
         #: what arrived before the first sample
         self.first = rows[0]
-        self.table = native(
-            [
-                self._counts[0],
-                self._steps[0],
-                self._counts[1],
-                self._steps[1],
-                self.size,
-                *(row[j] for j in range(3) for row in rows),
-            ]
-        )
+        late = (row[j] for j in range(3) for row in rows)
+        self.table = native([self.counts[0], self.steps[0], self.counts[1], self.steps[1], self.size, *late])
 
     def past(self, delay: float) -> Past:
         """What is on its way, as the `Past` of a simulator."""

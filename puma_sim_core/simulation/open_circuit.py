@@ -8,19 +8,18 @@ import itertools
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from puma_sim_core.dynamics.types import Drive
 from puma_sim_core.errors import ParameterError
 
 
-def enabled(enable, rows: int, joints: int) -> np.ndarray:
+def enabled(enable: ArrayLike, rows: int, joints: int) -> np.ndarray:
     """(n, 3) whether the drives of the kernel's joints are on.
 
     enable : (n,) for all joints or (n, J), on where it is not 0; hidden joints are on.
 
-    Raises
-    ------
-    ParameterError : another shape, or values that are not finite.
+    Raises ParameterError: another shape, or values that are not finite.
     """
     values = np.asarray(enable, dtype=float)
     if values.shape == (rows,):
@@ -39,10 +38,7 @@ def stretches(on: np.ndarray) -> Iterator[tuple[int, int]]:
     return itertools.pairwise(bounds)
 
 
-def opened(drive: Drive, on) -> Drive:
+def opened(drive: Drive, on: np.ndarray) -> Drive:
     """The constants of the drives with those that are off cut from their joints: neither torque nor back-EMF."""
-    numbers = list(drive)
-    for j in range(3):
-        if not on[j]:
-            numbers[5 * j + 2] = numbers[5 * j + 3] = 0.0
-    return Drive(*numbers)
+    off = [f"{name}{j + 1}" for name in ("emf", "torque") for j in range(3) if not on[j]]
+    return drive._replace(**dict.fromkeys(off, 0.0))

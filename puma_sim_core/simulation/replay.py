@@ -1,22 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""A bag's commands through the core again: the same states to the last bit, or the first that
-differs."""
+"""A bag's commands through the core again: the same states to the last bit, or the first that differs."""
 
 from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from puma_sim_core.errors import BagError, CommandError, ModelError, NonFiniteStateError, ParameterError
 from puma_sim_core.files import parse_yaml
 from puma_sim_core.jit import BACKEND
-from puma_sim_core.recording.bag import read_bag
-from puma_sim_core.simulation.session import Session, SessionConfig
+from puma_sim_core.recording.bag import BagContents, read_bag
+from puma_sim_core.simulation.session import Session, SessionConfig, SessionState
 
-_COMPARED = ("position", "velocity", "current", "voltage", "effort")
 _UNITS = {"position": "rad", "velocity": "rad/s", "current": "A", "voltage": "V", "effort": "N.m"}
 
 
@@ -24,10 +24,7 @@ _UNITS = {"position": "rad", "velocity": "rad/s", "current": "A", "voltage": "V"
 class Replay:
     """What a replay found.
 
-    Attributes
-    ----------
-    steps : steps that were compared, state 0 not counted.
-    commands : commands that were given again.
+    steps : steps that were compared, state 0 not counted; commands : commands that were given again.
     first_difference : a sentence on the first step that differs, None where all bits agree.
     greatest_difference : of the positions over all steps [rad].
     recorded_version, recorded_kernel : what wrote the bag.
@@ -46,12 +43,10 @@ class Replay:
         return self.first_difference is None
 
 
-def session_of(path: str | os.PathLike, config_text: str) -> tuple[SessionConfig, dict]:
+def session_of(path: str | os.PathLike[str], config_text: str) -> tuple[SessionConfig, dict[str, Any]]:
     """The session that a bag's model text describes, with its mapping.
 
-    Raises
-    ------
-    BagError : a model that this version cannot rebuild; names what and the recorder's version.
+    Raises BagError: a model that this version cannot rebuild; names what and the recorder's version.
     """
     where = f"{path}: topic sim_node/model"
     mapping = parse_yaml(config_text, where, BagError)
@@ -59,23 +54,18 @@ def session_of(path: str | os.PathLike, config_text: str) -> tuple[SessionConfig
         return SessionConfig.from_mapping(mapping, where), mapping
     except (ModelError, ParameterError) as error:
         version = mapping.get("version", "?") if isinstance(mapping, dict) else "?"
-        raise BagError(
-            f"the model cannot be rebuilt: {error.what}",
-            where=f"{error.where or where} (recorded by version {version})",
-            expected=error.expected,
-        ) from None
+        place = f"{error.where or where} (recorded by version {version})"
+        raise BagError(f"the model cannot be rebuilt: {error.what}", where=place, expected=error.expected) from None
 
 
-def replay(path: str | os.PathLike) -> Replay:
+def replay(path: str | os.PathLike[str]) -> Replay:
     """Run a bag's commands through the core and compare.
 
     path : the bag's directory or its .mcap file.
 
-    Raises
-    ------
-    BagError : no bag of this simulator, a truncated one, or a model that cannot be rebuilt.
+    Raises BagError: no bag of this simulator, a truncated one, or a model that cannot be rebuilt.
     """
-    bag = read_bag(path)
+    bag = read_bag(Path(path))
     config, mapping = session_of(path, bag.config_text)
     session = Session(config)
     commands = list(bag.commands)
@@ -90,11 +80,8 @@ def replay(path: str | os.PathLike) -> Replay:
                 else:
                     session.command_joints(names, values)
             except CommandError as error:
-                raise BagError(
-                    f"its session refuses a command: {error.what}",
-                    where=f"{path}: step {step}",
-                    expected=error.expected,
-                ) from None
+                what = f"its session refuses a command: {error.what}"
+                raise BagError(what, where=f"{path}: step {step}", expected=error.expected) from None
             given += 1
         try:
             states.append(session.step())
@@ -112,26 +99,19 @@ def replay(path: str | os.PathLike) -> Replay:
     )
 
 
-def _compare(bag, states) -> tuple[str | None, float]:
+def _compare(bag: BagContents, states: list[SessionState]) -> tuple[str | None, float]:
     """The first difference in bits as a sentence, and the greatest one in position [rad]."""
-    first = None
+    first: tuple[int, str] | None = None
     n = len(states)
-    for name in _COMPARED:
+    for name, unit in _UNITS.items():
         ours = np.array([getattr(state, name) for state in states])
-        theirs = getattr(bag, name)[:n]
+        theirs = np.ascontiguousarray(getattr(bag, name)[:n])
         # compared as integers: -0.0 differs from 0.0
-        differs = ours.view(np.int64) != np.ascontiguousarray(theirs).view(np.int64)
-        rows = np.flatnonzero(differs.any(axis=1))
-        if rows.size and (first is None or rows[0] < first[0]):
-            r = int(rows[0])
-            j = int(np.flatnonzero(differs[r])[0])
-            first = (
-                r,
-                f"step {r} ({bag.time_ns[r] * 1e-9:.3f} s): {name} of joint {j + 1} was "
-                f"{float(theirs[r, j])!r} and is {float(ours[r, j])!r} {_UNITS[name]}",
-            )
+        places = np.argwhere(ours.view(np.int64) != theirs.view(np.int64))
+        if len(places) and (first is None or places[0, 0] < first[0]):
+            r, j = (int(place) for place in places[0])
+            was, now = float(theirs[r, j]), float(ours[r, j])
+            where = f"step {r} ({bag.time_ns[r] * 1e-9:.3f} s)"
+            first = (r, f"{where}: {name} of joint {j + 1} was {was!r} and is {now!r} {unit}")
     greatest = float(np.abs(np.array([s.position for s in states]) - bag.position[:n]).max())
-    if first is None:
-        return None, greatest
-    kernel = f"; this process runs the {BACKEND} kernel"
-    return first[1] + kernel, greatest
+    return None if first is None else f"{first[1]}; this process runs the {BACKEND} kernel", greatest

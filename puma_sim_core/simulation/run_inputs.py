@@ -4,11 +4,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import isfinite
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from puma_sim_core.checks import check_numbers, check_positive, check_shapes
+from puma_sim_core.dynamics.types import Rows
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.jit import BACKEND
 
@@ -16,43 +20,25 @@ from puma_sim_core.jit import BACKEND
 GREATEST_STEP = 0.008
 
 
-def three(values, name: str) -> tuple[float, float, float]:
-    """Three finite floats, or a ParameterError that names them."""
-    try:
-        result = tuple(float(value) for value in values)
-    except (TypeError, ValueError):
-        result = ()
-    if len(result) != 3 or not all(map(isfinite, result)):
-        raise ParameterError(f"{name} = {values!r}", expected="three finite numbers")
-    return result
-
-
-def widened(values, name: str, joints: int) -> tuple[float, float, float]:
+def widened(values: Any, name: str, joints: int) -> tuple[float, ...]:
     """Numbers of the kernel's three joints for those of a plant's; a single one is its third.
 
-    Raises
-    ------
-    ParameterError : not as many finite numbers as there are joints.
+    Raises ParameterError: not as many finite numbers as there are joints.
     """
     if joints == 3:
-        return three(values, name)
+        return check_numbers(values, name)
     given = np.atleast_1d(np.asarray(values, dtype=float))
     if given.shape == (3,) and not given.any():
         given = given[:1]  # the zeros of a default
-    if given.shape != (1,) or not np.isfinite(given).all():
-        raise ParameterError(f"{name} = {values!r}", expected="one finite number")
-    return 0.0, 0.0, float(given[0])
+    return 0.0, 0.0, *check_numbers(given, name, 1)
 
 
 def check_step(step: float, where: str = "step") -> float:
     """The step [s], or a ParameterError where RK4 would not be stable."""
     if not isfinite(step) or not 0.0 < step <= GREATEST_STEP:
-        raise ParameterError(
-            f"{step * 1e3:.6g} ms",
-            where=where,
-            expected=f"more than 0 and at most {GREATEST_STEP * 1e3:g} ms: RK4 is "
-            "unstable above 8.4 ms with L/R = 3 ms",
-        )
+        bounds = f"more than 0 and at most {GREATEST_STEP * 1e3:g} ms"
+        what, reason = f"{step * 1e3:.6g} ms", "RK4 is unstable above 8.4 ms with L/R = 3 ms"
+        raise ParameterError(what, where=where, expected=f"{bounds}: {reason}")
     return float(step)
 
 
@@ -65,19 +51,25 @@ def step_counts(duration: np.ndarray, max_step: float) -> np.ndarray:
     return np.maximum(1, np.ceil(duration / max_step * (1.0 - 1e-6))).astype(np.int64)
 
 
-def native(numbers: Sequence[float]):
+def native(numbers: Sequence[float]) -> Any:
     """Flat numbers as the kernel reads them fastest: an array when compiled, else a list."""
     return np.array(numbers, dtype=float) if BACKEND == "numba" else [float(n) for n in numbers]
 
 
-def rows_of(values: np.ndarray):
+def rows_of(values: np.ndarray) -> Any:
     """An array for the compiled kernel, nested lists of floats for the interpreted one."""
     return np.ascontiguousarray(values) if BACKEND == "numba" else values.tolist()
 
 
-def guarded(out, run, *arguments) -> int:
-    """A run's first row of `out` that is not finite; plain Python tells some of those by an
-    exception."""
+def kernel_rows(voltage: np.ndarray, edges: np.ndarray, max_step: float) -> Rows:
+    """Rows of voltages (n, 3) [V] between edges (n + 1,) [s], in steps of at most max_step [s]."""
+    duration = np.diff(edges)
+    counts = step_counts(duration, max_step)
+    return Rows(rows_of(voltage), rows_of(edges[:-1]), rows_of(counts), rows_of(duration / counts))
+
+
+def guarded(out: np.ndarray, run: Callable[..., int], *arguments: Any) -> int:
+    """A run's first row of `out` that is not finite; plain Python tells some of those by an exception."""
     if BACKEND == "numba":
         return run(*arguments)
     out[:] = np.nan
@@ -87,29 +79,23 @@ def guarded(out, run, *arguments) -> int:
         return int(np.flatnonzero(np.isnan(out[:, 0]))[0])
 
 
-def setpoint_table(setpoint, period, voltage_limit) -> np.ndarray:
+def setpoint_table(setpoint: ArrayLike, period: float, voltage_limit: float) -> np.ndarray:
     """(n, 3) setpoints [rad] as an array, or a ParameterError on what a closed loop cannot use."""
-    setpoint = np.ascontiguousarray(setpoint, dtype=float)
-    if setpoint.ndim != 2 or setpoint.shape[1] != 3 or not np.isfinite(setpoint).all():
-        raise ParameterError(f"setpoint of shape {setpoint.shape}", expected="(n, 3), finite")
-    if not len(setpoint):
+    (table,) = check_shapes("(n, 3)", setpoint=setpoint)
+    if not len(table):
         raise ParameterError("no setpoint", expected="one at least")
-    if not voltage_limit > 0.0:
-        raise ParameterError(f"voltage_limit {voltage_limit!r} V", expected="a positive number")
-    if not (isfinite(period) and period > 0.0):
-        raise ParameterError(f"period {period!r} s", expected="a positive number")
-    return setpoint
+    check_positive(voltage_limit, "voltage_limit", "V", infinite=True)
+    check_positive(period, "period", "s")
+    return np.ascontiguousarray(table)
 
 
-def table(time, values, name: str, joints: int = 3) -> tuple[np.ndarray, np.ndarray]:
+def table(time: ArrayLike, values: ArrayLike, name: str, joints: int = 3) -> tuple[np.ndarray, np.ndarray]:
     """(n,) times [s] and (n, 3) values as arrays, or a ParameterError on what they lack; of one
     joint, (n, 1) values go to the last column."""
-    time = np.ascontiguousarray(time, dtype=float)
-    values = np.ascontiguousarray(values, dtype=float)
+    time, values = np.ascontiguousarray(time, dtype=float), np.ascontiguousarray(values, dtype=float)
     if time.ndim != 1 or len(time) < 1 or values.shape != (len(time), joints):
-        raise ParameterError(
-            f"time of shape {time.shape} and {name} of shape {values.shape}", expected=f"(n,) and (n, {joints})"
-        )
+        what = f"time of shape {time.shape} and {name} of shape {values.shape}"
+        raise ParameterError(what, expected=f"(n,) and (n, {joints})")
     if not (np.isfinite(time).all() and np.isfinite(values).all()):
         raise ParameterError(f"time or {name} has values that are not finite", expected="finite numbers")
     if (np.diff(time) <= 0.0).any():

@@ -12,30 +12,32 @@ from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field
 from math import isfinite
-from typing import NamedTuple
+from operator import mul
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
 from puma_sim_core import __version__
+from puma_sim_core.checks import check_choice, check_numbers, check_positive, check_whole
 from puma_sim_core.control.controllers import load_settings, make_controller
 from puma_sim_core.dynamics.laws import AT_REST, SENSED
-from puma_sim_core.dynamics.pid import Pid
-from puma_sim_core.dynamics.runs import ROW, WIDE, WIDE_ROW, servo_memory, supply_voltages
+from puma_sim_core.dynamics.runs import ROW, WIDE, WIDE_ROW, links_at, run_servo, servo_memory, supply_voltages
 from puma_sim_core.dynamics.sensed import settled_positions
-from puma_sim_core.dynamics.servo import ServoConfig
-from puma_sim_core.dynamics.two_mass_runs import links_at, run_servo
 from puma_sim_core.dynamics.types import FREE, ServoLoop, State
 from puma_sim_core.errors import CommandError, ModelError, NonFiniteStateError, ParameterError, PumaSimError
 from puma_sim_core.jit import BACKEND
 from puma_sim_core.plant.model_file import plant_of_mapping
-from puma_sim_core.plant.plant import Plant
+from puma_sim_core.plant.plant import Plant, made_of_model
+from puma_sim_core.servo.pid import Pid
+from puma_sim_core.servo.servo import ServoConfig
 from puma_sim_core.simulation.delay import NO_DELAY, SampledDelay, delay_of
-from puma_sim_core.simulation.feedback import ControlLoop, HeldRows, unpacked
-from puma_sim_core.simulation.run_inputs import check_step, native, three
+from puma_sim_core.simulation.feedback import Controller, ControlLoop, HeldVoltage, Kernel, unpacked
+from puma_sim_core.simulation.run_inputs import check_step, native, rows_of
 
 SESSION_FORMAT = "puma-sim session 1"
 COMMAND_INTERFACES = ("voltage", "position")
 _NOTHING = (0.0, 0.0, 0.0)
+Triple = tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -46,18 +48,16 @@ class SessionConfig:
     ----------
     plant : the arm and its effects.
     command_interface : "voltage" (motor volts) or "position" (setpoints of the digital servo).
-    period : between states and commands [s]; substeps : steps of integration, and servo samples,
-        in a period.
+    period : between states and commands [s]; substeps : steps of integration, and servo samples, in a period.
     voltage_limit : commands beyond +- this [V] are clipped and counted.
-    command_timeout : without a good command for this long [s], counted in steps, voltage commands
-        fall to 0 V and the position servo holds where the arm is; 0 disables.
+    command_timeout : without a good command for this long [s], counted in steps, voltage commands fall to 0 V and the
+        position servo holds where the arm is; 0 disables.
     initial_position [rad], initial_velocity [rad/s], initial_current [A] : of the three joints.
     servo : the digital servo of the position interface.
-    controller : what computes its volts: "pid" with the servo's gains, "scheduled" or
-        "computed_torque" with the servo's encoder, converter, amplifier and delay around it and
-        the session's own arm, without its effects, as the model.
-    controller_settings : of a controller other than "pid", see `control.controllers`; None for
-        those of config/controllers.yaml.
+    controller : what computes its volts: "pid" with the servo's gains, "scheduled" or "computed_torque" with the
+        servo's encoder, converter, amplifier and delay around it and the session's own arm, without effects, as model.
+    controller_settings : of a controller other than "pid", see `control.controllers`; by default those of
+        config/controllers.yaml.
 
     Raises
     ------
@@ -70,42 +70,34 @@ class SessionConfig:
     substeps: int = 30
     voltage_limit: float = 40.0
     command_timeout: float = 0.5
-    initial_position: tuple[float, float, float] = _NOTHING
-    initial_velocity: tuple[float, float, float] = _NOTHING
-    initial_current: tuple[float, float, float] = _NOTHING
+    initial_position: Triple = _NOTHING
+    initial_velocity: Triple = _NOTHING
+    initial_current: Triple = _NOTHING
     servo: ServoConfig = field(default_factory=ServoConfig)
     joint_names: tuple[str, str, str] = ("joint1", "joint2", "joint3")
     frame_id: str = "base_link"
     controller: str = "pid"
-    controller_settings: Mapping | None = None
+    controller_settings: Mapping[str, Any] | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.plant.joints != 3:
-            raise ParameterError(
-                f"a model of {self.plant.joints} joint",
-                where="session",
-                expected="a model of an arm of three; `puma-sim simulate` runs models of one joint",
-            )
-        if self.command_interface not in COMMAND_INTERFACES:
-            raise ParameterError(
-                f"command_interface '{self.command_interface}'", expected=" or ".join(COMMAND_INTERFACES)
-            )
-        if isinstance(self.substeps, bool) or not isinstance(self.substeps, int) or self.substeps < 1:
-            raise ParameterError(f"substeps {self.substeps!r}", expected="a whole number of at least 1")
+            expected = "a model of an arm of three; `puma-sim simulate` runs models of one joint"
+            raise ParameterError(f"a model of {self.plant.joints} joint", where="session", expected=expected)
+        check_choice(self.command_interface, "command_interface", COMMAND_INTERFACES)
+        check_whole(self.substeps, "substeps", 1)
         if not isfinite(self.period) or not 0.0 < self.period <= 10.0:
             raise ParameterError(f"period {self.period!r} s", expected="more than 0, at most 10 s")
         check_step(self.period / self.substeps, "period / substeps")
-        if not (isfinite(self.voltage_limit) and self.voltage_limit > 0.0):
-            raise ParameterError(f"voltage_limit {self.voltage_limit!r} V", expected="a positive number")
+        check_positive(self.voltage_limit, "voltage_limit", "V")
         if not (isfinite(self.command_timeout) and self.command_timeout >= 0.0):
             raise ParameterError(f"command_timeout {self.command_timeout!r} s", expected="0 or more")
         for name in ("period", "voltage_limit", "command_timeout"):
             object.__setattr__(self, name, float(getattr(self, name)))
         for name in ("initial_position", "initial_velocity", "initial_current"):
-            object.__setattr__(self, name, three(getattr(self, name), name))
+            object.__setattr__(self, name, check_numbers(getattr(self, name), name))
         names = tuple(self.joint_names)
         object.__setattr__(self, "joint_names", names)
-        if len(names) != 3 or len(set(names)) != 3 or not all(isinstance(name, str) and name for name in names):
+        if not len(names) == len(set(names)) == 3 or not all(isinstance(name, str) and name for name in names):
             raise ParameterError(f"joint_names {names!r}", expected="three different names")
         self._settle_controller()
 
@@ -113,46 +105,35 @@ class SessionConfig:
         """Take over the controller's settings, so that a record of them is complete."""
         if self.controller == "pid":
             if self.controller_settings is not None:
-                raise ParameterError(
-                    "controller_settings of controller 'pid'", expected="none: its gains are the servo's"
-                )
+                expected = "none: its gains are the servo's"
+                raise ParameterError("controller_settings of controller 'pid'", expected=expected)
             return
         settings = self.controller_settings
         settings = load_settings(self.controller) if settings is None else deepcopy(settings)
         object.__setattr__(self, "controller_settings", settings)
         self.make_controller()
         if self.command_interface != "position":
-            raise ParameterError(
-                f"controller '{self.controller}'",
-                expected="pid, or command_interface position: no controller acts on commands in volts",
-            )
+            expected = "pid, or command_interface position: no controller acts on commands in volts"
+            raise ParameterError(f"controller '{self.controller}'", expected=expected)
 
-    def make_controller(self):
-        """The controller of the position interface as an object (see `control.controllers`); for
-        "pid" the servo is compiled, and this is its equal.
+    def make_controller(self) -> Controller:
+        """The controller of the position interface as an object; for "pid" the equal of the servo, which is compiled.
 
-        Raises
-        ------
-        ParameterError : names the setting that cannot be.
+        Raises ParameterError: names the setting that cannot be.
         """
-        h, limit = self.period / self.substeps, self.voltage_limit / self.servo.amplifier_gain
-        if self.controller == "pid":
-            return Pid(
-                self.servo.gains,
+        h, limit, servo = self.period / self.substeps, self.voltage_limit, self.servo
+        if self.controller != "pid":
+            return make_controller(
+                self.controller,
+                self.plant,
+                self.controller_settings,
                 h,
-                limit=limit,
-                anti_windup=self.servo.anti_windup,
-                on_measurement=self.servo.derivative_on_measurement,
+                limit,
+                setpoint_period=self.period,
+                amplifier_gain=servo.amplifier_gain,
             )
-        return make_controller(
-            self.controller,
-            self.plant,
-            self.controller_settings,
-            h,
-            self.voltage_limit,
-            setpoint_period=self.period,
-            amplifier_gain=self.servo.amplifier_gain,
-        )
+        limit, on_measurement = limit / servo.amplifier_gain, servo.derivative_on_measurement
+        return Pid(servo.gains, h, limit=limit, anti_windup=servo.anti_windup, on_measurement=on_measurement)
 
     @property
     def period_ns(self) -> int:
@@ -164,59 +145,43 @@ class SessionConfig:
         """Steps without a command after which the watchdog acts; 0 for never."""
         return max(1, round(self.command_timeout / self.period)) if self.command_timeout else 0
 
-    def to_mapping(self) -> dict:
+    def to_mapping(self) -> dict[str, Any]:
         """Plain values from which `from_mapping` makes an equal session; every digit is kept."""
+        plain = ("command_interface", "period", "substeps", "voltage_limit", "command_timeout")
+        initial = ("initial_position", "initial_velocity", "initial_current")
+        # without a key for the default, earlier versions read the sessions that they can run
+        controller = ("controller", "controller_settings") if self.controller != "pid" else ()
         return {
             "format": SESSION_FORMAT,
             "version": __version__,
             "kernel": BACKEND,
-            "command_interface": self.command_interface,
-            "period": self.period,
-            "substeps": self.substeps,
-            "voltage_limit": self.voltage_limit,
-            "command_timeout": self.command_timeout,
-            "initial_position": list(self.initial_position),
-            "initial_velocity": list(self.initial_velocity),
-            "initial_current": list(self.initial_current),
+            **{name: getattr(self, name) for name in plain},
+            **{name: list(getattr(self, name)) for name in initial},
             "servo": self.servo.to_mapping(),
-            **self._controller_mapping(),
+            **{name: deepcopy(getattr(self, name)) for name in controller},
             "joint_names": list(self.joint_names),
             "frame_id": self.frame_id,
             "model": self.plant.to_mapping(),
         }
 
-    def _controller_mapping(self) -> dict:
-        # without a key for the default, earlier versions read the sessions that they can run
-        return (
-            {}
-            if self.controller == "pid"
-            else {"controller": self.controller, "controller_settings": deepcopy(self.controller_settings)}
-        )
-
     @classmethod
-    def from_mapping(cls, mapping: Mapping, where: str | None = None) -> SessionConfig:
+    def from_mapping(cls, mapping: Mapping[str, Any], where: str | None = None) -> SessionConfig:
         """The inverse of `to_mapping`.
 
-        Raises
-        ------
-        ModelError : another format, an unknown key or effect, a value that is not usable.
+        Raises ModelError: another format, an unknown key or effect, a value that is not usable.
         """
-        if not isinstance(mapping, Mapping) or mapping.get("format") != SESSION_FORMAT:
-            found = mapping.get("format") if isinstance(mapping, Mapping) else mapping
-            raise ModelError(
-                f"session format {found!r}",
-                where=where,
-                expected=f"'{SESSION_FORMAT}', which version {__version__} reads",
-            )
+        found = mapping.get("format") if isinstance(mapping, Mapping) else mapping
+        if found != SESSION_FORMAT:
+            expected = f"'{SESSION_FORMAT}', which version {__version__} reads"
+            raise ModelError(f"session format {found!r}", where=where, expected=expected)
         values = {k: v for k, v in mapping.items() if k not in ("format", "version", "kernel")}
         plant = plant_of_mapping(values.pop("model", None), where)
+
+        def make() -> SessionConfig:
+            return cls(plant=plant, servo=ServoConfig.from_mapping(values.pop("servo", {})), **values)
+
         try:
-            servo = ServoConfig.from_mapping(values.pop("servo", {}))
-            return cls(plant=plant, servo=servo, **values)
-        except ParameterError as error:
-            raise ModelError(
-                error.what, where=" ".join(filter(None, (where, error.where))) or None, expected=error.expected
-            ) from None
+            return made_of_model(make, where)
         except TypeError as error:
             raise ModelError(str(error), where=where, expected="the keys of a session") from None
 
@@ -233,11 +198,11 @@ class SessionState(NamedTuple):
 
     step: int
     time_ns: int
-    position: tuple[float, float, float]  #: as the sensors give it [rad]
-    velocity: tuple[float, float, float]  #: [rad/s]
-    current: tuple[float, float, float]  #: [A]
-    voltage: tuple[float, float, float]  #: asked of the supply, last in the step [V]
-    effort: tuple[float, float, float]  #: torque of the motor at the joint, kT i [N.m]
+    position: Triple  #: as the sensors give it [rad]
+    velocity: Triple  #: [rad/s]
+    current: Triple  #: [A]
+    voltage: Triple  #: asked of the supply, last in the step [V]
+    effort: Triple  #: torque of the motor at the joint, kT i [N.m]
 
 
 @dataclass
@@ -260,42 +225,23 @@ class Session:
         plant = config.plant
         active, table = plant.constants.active, plant.constants.table
         self._constants = plant.constants._replace(table=native(table))
-        self._kernel = (self._constants, FREE)
+        self._kernel: Kernel = (self._constants, FREE)
         self._h = config.period / config.substeps
-        self._period_ns = config.period_ns
-        self._timeout = config.timeout_steps
-        self._kT = plant.torque_per_ampere
-        self._ranges = (
-            plant.arm.joint_ranges
-            if config.command_interface == "position"
-            else ((-config.voltage_limit, config.voltage_limit),) * 3
-        )
-        self._servo = native(
-            config.servo.table(self._h, config.voltage_limit, [m.gear_ratio for m in plant.arm.motors])
-        )
+        self._period_ns, self._timeout, self._kT = config.period_ns, config.timeout_steps, plant.torque_per_ampere
+        by_volts, limit = config.command_interface == "voltage", config.voltage_limit
+        self._ranges = ((-limit, limit),) * 3 if by_volts else plant.arm.joint_ranges
+        self._servo = native(config.servo.table(self._h, limit, plant.gear_ratios))
         width = WIDE_ROW if active & WIDE else ROW
-        self._target_row = np.zeros((1, 3)) if BACKEND == "numba" else [[0.0, 0.0, 0.0]]
+        self._target_row = rows_of(np.zeros((1, 3)))
         delay = delay_of(active, table)
-        sample = config.period if config.command_interface == "voltage" else self._h
-        self._late = SampledDelay(delay, sample, self._h) if delay else None
-        self._rows = HeldRows(1 if self._late is None else 2, width)
+        self._late = SampledDelay(delay, config.period if by_volts else self._h, self._h) if delay else None
+        self._held = HeldVoltage(self._kernel, config.substeps, self._h, self._late)
         self._servo_out = np.empty((config.substeps + 1, width))
         self._servo_volts = np.empty((config.substeps, 3))
-        self._loop = (
-            None
-            if config.controller == "pid"
-            else ControlLoop(
-                config.make_controller(),
-                config.servo,
-                self._h,
-                1,
-                config.voltage_limit,
-                [m.gear_ratio for m in plant.arm.motors],
-                self._kernel,
-            )
-        )
-        if self._loop is not None:
-            self._loop.late = self._late
+        self._loop: ControlLoop | None = None
+        if config.controller != "pid":
+            made, ratios = config.make_controller(), plant.gear_ratios
+            self._loop = ControlLoop(made, config.servo, self._h, 1, limit, ratios, self._kernel, self._late)
         self.reset()
 
     def reset(self) -> None:
@@ -303,9 +249,8 @@ class Session:
         c = self.config
         x = (*c.initial_position, *c.initial_velocity, *c.initial_current)
         z = (*_NOTHING, *links_at(x, 0.0, *self._kernel), *AT_REST[9:])
-        m = c.initial_position
-        if self._constants.active & SENSED:
-            m = settled_positions(c.initial_position, self._constants.table)
+        sensed = self._constants.active & SENSED
+        m = settled_positions(c.initial_position, self._constants.table) if sensed else c.initial_position
         self._whole = State(x, z, m)
         self._target = list(m if c.command_interface == "position" else _NOTHING)
         self._memory = native([*servo_memory(m, m, self._servo), *c.servo.held_back()])
@@ -323,77 +268,67 @@ class Session:
 
         Returns the command as it was given; values out of range act clipped and are counted.
 
-        Raises
-        ------
-        CommandError : not three finite numbers; the last good command stays.
+        Raises CommandError: not three finite numbers; the last good command stays.
         """
         return self._take(None, (0, 1, 2), values)
 
     def command_joints(self, names: Sequence[str], values: Sequence[float]) -> Command:
         """Take a command [rad] for some joints by name; the others keep theirs.
 
-        Raises
-        ------
-        CommandError : unknown or repeated joint, numbers that are missing or not finite, or a
-            session that takes volts; the last good command stays.
+        Raises CommandError: unknown or repeated joint, numbers that are missing or not finite, or a session that takes
+        volts; the last good command stays.
         """
-        known = self.config.joint_names
-        names = tuple(names)
+        known, names = self.config.joint_names, tuple(names)
+        unknown = [name for name in names if name not in known]
         problem = None
         if self.config.command_interface != "position":
-            problem = ("a command by joint name in a session that takes volts", "command_interface position")
-        elif not names:
-            problem = ("no joint names", f"some of {', '.join(known)}")
-        else:
-            for name in names:
-                if name not in known:
-                    problem = (f"unknown joint '{name}'", f"some of {', '.join(known)}")
-                elif names.count(name) > 1:
-                    problem = (f"joint '{name}' stands twice", "each joint once")
+            problem = "a command by joint name in a session that takes volts", "command_interface position"
+        elif not names or unknown:
+            problem = f"unknown joint '{unknown[0]}'" if unknown else "no joint names", f"some of {', '.join(known)}"
+        elif len(set(names)) < len(names):
+            problem = f"joint '{next(name for name in names if names.count(name) > 1)}' stands twice", "each joint once"
         if problem:
-            self.counters.rejected += 1
-            raise CommandError(problem[0], where="command", expected=problem[1])
+            self._refuse(*problem)
         return self._take(names, tuple(known.index(name) for name in names), values)
 
-    def _take(self, names, joints, values) -> Command:
+    def _refuse(self, what: str, expected: str) -> NoReturn:
+        self.counters.rejected += 1
+        raise CommandError(what, where="command", expected=expected)
+
+    def _take(self, names: tuple[str, ...] | None, joints: Sequence[int], values: Sequence[float]) -> Command:
         values = tuple(values)
         try:
             numbers = tuple(map(float, values))
         except (TypeError, ValueError):
             numbers = ()
         if len(numbers) != len(joints) or not all(map(isfinite, numbers)):
-            self.counters.rejected += 1
-            raise CommandError(f"{list(values)!r}", where="command", expected=f"{len(joints)} finite numbers")
+            self._refuse(f"{list(values)!r}", f"{len(joints)} finite numbers")
         for j, value in zip(joints, numbers):
             low, high = self._ranges[j]
-            clipped = min(max(value, low), high)
-            if clipped != value:
-                self.counters.saturated += 1
-            self._target[j] = clipped
+            self._target[j] = min(max(value, low), high)
+            self.counters.saturated += self._target[j] != value
         self._fresh = True
         return Command(names, numbers)
 
     def step(self) -> SessionState:
         """One period; returns the new state.
 
-        Raises
-        ------
-        NonFiniteStateError : names the step; the state stays the last finite one.
+        Raises NonFiniteStateError: names the step; the state stays the last finite one.
         """
         self._watch()
+        step = self.state.step + 1
+        voltage: Sequence[float] = _NOTHING
         try:
             if self.config.command_interface == "voltage":
-                bad, row, voltage = self._step_voltage()
-            elif self._loop is None:
-                bad, row, voltage = self._step_servo()
+                voltage = self._target
+                row = self._held.run(self._whole, self.state.step * self.config.period, voltage)
             else:
-                bad, row, voltage = self._step_controller()
+                row, voltage = self._step_position()
         except PumaSimError:
             raise
         except (OverflowError, ValueError, ZeroDivisionError):
-            bad, row, voltage = 1, None, _NOTHING
-        step = self.state.step + 1
-        if bad >= 0:
+            row = None
+        if row is None:
             raise NonFiniteStateError(step)
         self._whole = unpacked(row)
         self.state = self._state(step, voltage)
@@ -409,53 +344,32 @@ class Session:
         if self.command_age_steps == self._timeout:
             self._target = list(self._seen() if self.config.command_interface == "position" else _NOTHING)
 
-    def _seen(self):
+    def _seen(self) -> Sequence[float]:
         """Measured positions [rad]."""
         return self._whole.m if self._constants.active & SENSED else self._whole.x[:3]
 
-    def _time(self) -> float:
-        """Simulated time at the start of the step [s]."""
-        return self.state.step * self.config.period
+    def _step_position(self) -> tuple[np.ndarray | None, Sequence[float]]:
+        """The row at the end of a step under a controller, None where it is not finite, and the last voltages [V]."""
+        time = self.state.step * self.config.period
+        samples, out, volts = self.config.substeps, self._servo_out, self._servo_volts
+        if self._loop is None:
+            row = self._target_row[0]
+            row[0], row[1], row[2] = self._target
+            late = NO_DELAY if self._late is None else self._late.table
+            loop = ServoLoop(time, samples, 1, self._h, self._servo, self._memory, late)
+            bad = run_servo(self._whole, self._target_row, loop, *self._kernel, out, volts)
+        else:
+            bad = self._loop.run(self._whole, [self._target], samples, time, out, volts)
+        return (None if bad >= 0 else out[-1]), volts[-1].tolist()
 
-    def _step_voltage(self):
-        rows = (
-            ([self._target], [self.config.substeps], [self._h])
-            if self._late is None
-            else (self._late.take(self._target), self._late.counts, self._late.steps)
-        )
-        end = self._rows.run(self._whole, self._time(), rows, self._kernel)
-        return (1, None, _NOTHING) if end is None else (-1, end, self._target)
-
-    def _step_servo(self):
-        row = self._target_row[0]
-        row[0], row[1], row[2] = self._target
-        loop = ServoLoop(
-            self._time(),
-            self.config.substeps,
-            1,
-            self._h,
-            self._servo,
-            self._memory,
-            NO_DELAY if self._late is None else self._late.table,
-        )
-        bad = run_servo(self._whole, self._target_row, loop, *self._kernel, self._servo_out, self._servo_volts)
-        return bad, self._servo_out[-1], self._servo_volts[-1].tolist()
-
-    def _step_controller(self):
-        bad = self._loop.run(
-            self._whole, [self._target], self.config.substeps, self._time(), self._servo_out, self._servo_volts
-        )
-        return bad, self._servo_out[-1], self._servo_volts[-1].tolist()
-
-    def _state(self, step, voltage) -> SessionState:
-        _, _, _, w1, w2, w3, i1, i2, i3 = self._whole.x
-        k1, k2, k3 = self._kT
+    def _state(self, step: int, voltage: Sequence[float]) -> SessionState:
+        x, (v1, v2, v3) = self._whole.x, voltage
         return SessionState(
-            step,
-            step * self._period_ns,
-            tuple(self._seen()),
-            (w1, w2, w3),
-            (i1, i2, i3),
-            tuple(supply_voltages(*voltage, self._constants.table)),
-            (k1 * i1, k2 * i2, k3 * i3),
+            step=step,
+            time_ns=step * self._period_ns,
+            position=tuple(self._seen()),
+            velocity=x[3:6],
+            current=x[6:9],
+            voltage=tuple(supply_voltages(v1, v2, v3, self._constants.table)),
+            effort=tuple(map(mul, self._kT, x[6:9])),
         )

@@ -8,22 +8,31 @@ are positions, velocities, currents and, on demand, accelerations, sampled synch
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import isfinite
+from math import inf
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from puma_sim_core.checks import check_choice, check_numbers, check_positive, check_whole, is_number
 from puma_sim_core.dynamics.laws import AT_REST, DELAYED, LOCKED, SENSED, TWO_MASS
-from puma_sim_core.dynamics.runs import ROW, WIDE, WIDE_ROW, servo_memory
+from puma_sim_core.dynamics.runs import (
+    ROW,
+    WIDE,
+    WIDE_ROW,
+    accelerations,
+    links_at,
+    run_servo,
+    run_voltages,
+    servo_memory,
+)
 from puma_sim_core.dynamics.sensed import settled_positions
-from puma_sim_core.dynamics.servo import ServoConfig
-from puma_sim_core.dynamics.two_mass_runs import accelerations, links_at, run_servo, run_voltages
 from puma_sim_core.dynamics.types import Constants, Rows, ServoLoop, State
 from puma_sim_core.errors import LimitError, NonFiniteStateError, ParameterError
-from puma_sim_core.jit import BACKEND
 from puma_sim_core.plant.plant import Plant
 from puma_sim_core.recording.recording import Recording
+from puma_sim_core.servo.servo import ServoConfig
 from puma_sim_core.simulation.delay import NO_DELAY, Past, SampledDelay, delay_of
 from puma_sim_core.simulation.feedback import Controller, ControlLoop, samples_per_period
 from puma_sim_core.simulation.open_circuit import enabled, opened, stretches
@@ -35,12 +44,12 @@ from puma_sim_core.simulation.run_inputs import (
     setpoint_table,
     step_counts,
     table,
-    three,
     widened,
 )
 
 #: one servo period [s], the natural step of integration (section 7.6)
 SERVO_PERIOD = 0.028 / 30.0
+_NOTHING = (0.0, 0.0, 0.0)
 
 CONSTRAINTS = ("free", "hold", "velocity", "acceleration")
 
@@ -49,46 +58,43 @@ CONSTRAINTS = ("free", "hold", "velocity", "acceleration")
 class Constraint:
     """How a joint moves (section 6.1, a to d).
 
-    kind : "free", "hold" (constant position), "velocity" (constant velocity) or "acceleration"
-        (constant acceleration). value : the velocity [rad/s], None for the initial one, or the
-        acceleration [rad/s^2].
+    kind : "free", "hold" (constant position), "velocity" (constant velocity) or "acceleration" (constant acceleration).
+        value : the velocity [rad/s], None for the initial one, or the acceleration [rad/s^2].
 
-    A joint that is not free has its row and column taken out of the equations; what it exerts on
-    the others by its motion stays. (Section 6.2 overwrites its state after a free step, which
-    leaves the others with a wrong inertia.)
+    A joint that is not free has its row and column taken out of the equations; what it exerts on the others by its
+    motion stays. (Section 6.2 overwrites its state after a free step, which leaves the others with a wrong inertia.)
 
-    Raises
-    ------
-    ParameterError : unknown kind, or a value where none belongs or one is missing.
+    Raises ParameterError: unknown kind, or a value where none belongs or one is missing.
     """
 
     kind: str = "free"
     value: float | None = None
 
-    def __post_init__(self):
-        where = f"constraint '{self.kind}'"
-        if self.kind not in CONSTRAINTS:
-            raise ParameterError("unknown", where=where, expected=" or ".join(CONSTRAINTS))
-        if self.kind in ("free", "hold") and self.value is not None:
-            raise ParameterError(f"value {self.value}", where=where, expected="no value")
-        if self.kind == "acceleration" and self.value is None:
-            raise ParameterError("no value", where=where, expected="acceleration:RAD_PER_S2")
-        if self.value is not None:
-            if isinstance(self.value, (bool, str)) or not isfinite(self.value):
-                raise ParameterError(f"value {self.value}", where=where, expected="a finite number")
+    def __post_init__(self) -> None:
+        check_choice(self.kind, "constraint", CONSTRAINTS)
+        expected = None
+        if self.value is None:
+            expected = "acceleration:RAD_PER_S2" if self.kind == "acceleration" else None
+        elif self.kind in ("free", "hold"):
+            expected = "no value"
+        elif not is_number(self.value):
+            expected = "a finite number"
+        else:
             # a whole number here would be compiled as another kernel
             object.__setattr__(self, "value", float(self.value))
+        if expected:
+            what = "no value" if self.value is None else f"value {self.value}"
+            raise ParameterError(what, where=f"constraint '{self.kind}'", expected=expected)
 
     @classmethod
     def parse(cls, text: str) -> Constraint:
         """From ``free``, ``hold``, ``velocity``, ``velocity:0.5`` or ``acceleration:1``."""
         kind, colon, value = text.partition(":")
         try:
-            return cls(kind, float(value) if colon else None)
-        except ValueError as error:
-            if isinstance(error, ParameterError):
-                raise
+            number = float(value) if colon else None
+        except ValueError:
             raise ParameterError(f"value '{value}'", where=f"constraint '{kind}'", expected="a number") from None
+        return cls(kind, number)
 
 
 @dataclass(frozen=True)
@@ -101,64 +107,47 @@ class Limits:
     """
 
     position: tuple[tuple[float, float], ...] | None = None
-    velocity: tuple[float, float, float] | None = None
-    acceleration: tuple[float, float, float] | None = None
+    velocity: tuple[float, ...] | None = None
+    acceleration: tuple[float, ...] | None = None
     unit: str = "rad"
 
     def first_exceeded(self, recording: Recording) -> list[str]:
         """One sentence for each joint and quantity that leaves its limits: where and by what."""
-        ranges = {
-            "position": (self.position, self.unit),
-            "velocity": (_symmetric(self.velocity), f"{self.unit}/s"),
-            "acceleration": (_symmetric(self.acceleration), f"{self.unit}/s^2"),
-        }
         found = []
-        for name, (pairs, unit) in ranges.items():
-            values = getattr(recording, name)
-            if pairs is None or values is None:
+        for name, per in (("position", ""), ("velocity", "/s"), ("acceleration", "/s^2")):
+            limits, values = getattr(self, name), getattr(recording, name)
+            if limits is None or values is None:
                 continue
-            for j, (low, high) in enumerate(pairs):
+            for j, limit in enumerate(limits):
+                low, high = limit if name == "position" else (-limit, limit)
                 outside = np.flatnonzero((values[:, j] < low) | (values[:, j] > high))
                 if outside.size:
                     r = int(outside[0])
-                    found.append(
-                        f"joint {j + 1}: {name} {values[r, j]:.7g} {unit} at "
-                        f"{recording.time[r]:.6g} s is outside {low:.4g} to {high:.4g}"
-                    )
+                    value, at = f"{values[r, j]:.7g} {self.unit}{per}", f"{recording.time[r]:.6g} s"
+                    found.append(f"joint {j + 1}: {name} {value} at {at} is outside {low:.4g} to {high:.4g}")
         return found
-
-
-def _symmetric(greatest):
-    return None if greatest is None else tuple((-g, g) for g in greatest)
 
 
 class Simulator:
     """The arm, from a state on.
 
-    The state is the true one. The positions of a recording are what the sensors give, which is
-    the same unless the plant has effects of sensing; ``measured`` holds the present ones [rad].
-    Voltages of a recording are those asked for, before anything the amplifiers do to them.
+    The state is the true one. Positions of a recording are what the sensors give, the same unless the plant has effects
+    of sensing; its voltages are those asked for, before anything the amplifiers do to them.
 
-    Parameters
-    ----------
     plant : the arm and its effects.
     constraints : one `Constraint` a joint of the plant; free by default.
     max_step : greatest step of integration [s]; rows that hold longer are divided evenly.
     limits : what runs are checked against; none by default.
     on_limit : "report" gathers sentences in `exceeded`, "error" raises LimitError after a run.
 
-    The state is taken by `reset` and moves on with each `step` and `run`. ``state`` is the tuple
-    (q1, q2, q3, qd1, qd2, qd3, i1, i2, i3) of the kernel's joints (a single joint is its third), a triple below is a
-    single number for a plant of one joint, ``bristles`` the deflections [rad] of the bristles, ``further`` those of
-    other effects with a memory, ``links`` positions [rad] and velocities [rad/s] of the links, ``past`` the voltages
-    that a delay of the input still holds back, ``time`` the simulated time [s], at which effects that change with
-    time are taken.
-    ``link_motion`` holds the links at the rows of the last
-    run, (n, 6), where they do not follow their motors (see `two_mass`), else None.
+    The state is taken by `reset` and moves on with each `step` and `run`: ``state``, the tuple (q1, q2, q3, qd1, qd2,
+    qd3, i1, i2, i3) of the kernel's joints (a single joint is its third); ``measured`` positions [rad]; ``bristles``,
+    their deflections [rad]; ``further``, those of other effects with a memory; ``links``, their positions [rad] and
+    velocities [rad/s]; ``past``, the voltages that a delay of the input still holds back; ``time`` [s], at which
+    effects that change with time are taken. ``link_motion`` has the links at the rows of the last run, (n, 6), where
+    they do not follow their motors, else None. A triple below is a single number for a plant of one joint.
 
-    Raises
-    ------
-    ParameterError : a step above 8 ms, constraints of another length.
+    Raises ParameterError: a step above 8 ms, constraints of another length.
     """
 
     def __init__(
@@ -173,8 +162,7 @@ class Simulator:
         constraints = (Constraint(),) * plant.joints if constraints is None else constraints
         if len(constraints) != plant.joints or not all(isinstance(c, Constraint) for c in constraints):
             raise ParameterError(f"constraints {constraints!r}", expected="one Constraint a joint")
-        if on_limit not in ("report", "error"):
-            raise ParameterError(f"on_limit '{on_limit}'", expected="report or error")
+        check_choice(on_limit, "on_limit", ("report", "error"))
         self.plant = plant
         self.constraints = (Constraint("hold"),) * (3 - plant.joints) + tuple(constraints)
         self.max_step = check_step(max_step, "max_step")
@@ -185,48 +173,48 @@ class Simulator:
         constants, active = plant.constants, plant.constants.active
         if any(c.kind != "free" for c in self.constraints):
             active |= LOCKED
-        lock = (
-            *(0.0 if c.kind == "free" else 1.0 for c in self.constraints),
-            *(c.value if c.kind == "acceleration" else 0.0 for c in self.constraints),
-        )
         #: constants of the plant as a run takes them, and the rows that constraints take out
         self.constants = Constants(constants.model._replace(active=active), native(constants.table))
-        self.lock = lock
+        self.lock = (
+            *(0.0 if c.kind == "free" else 1.0 for c in self.constraints),
+            *(c.value if c.kind == "acceleration" and c.value else 0.0 for c in self.constraints),
+        )
         self._row = WIDE_ROW if active & WIDE else ROW
         self.reset()
 
-    def reset(self, position=(0.0, 0.0, 0.0), velocity=None, current=(0.0, 0.0, 0.0), time: float = 0.0) -> None:
+    def reset(
+        self,
+        position: ArrayLike = _NOTHING,
+        velocity: ArrayLike | None = None,
+        current: ArrayLike = _NOTHING,
+        time: float = 0.0,
+    ) -> None:
         """Start from a state: true position [rad], velocity [rad/s], current [A] of the joints.
 
         The velocity of a joint with a constant velocity of its own is that one. Sensors have
         settled; of a delay the first voltage of the next run counts as asked for since ever.
 
-        Raises
-        ------
-        ParameterError : not three finite numbers, or a velocity that contradicts a constraint.
+        Raises ParameterError: not three finite numbers, or a velocity that contradicts a constraint.
         """
         joints = self.plant.joints
-        position = widened(position, "position", joints)
-        current = widened(current, "current", joints)
+        q, i = widened(position, "position", joints), widened(current, "current", joints)
         given = None if velocity is None else widened(velocity, "velocity", joints)
-        start = list(given or (0.0, 0.0, 0.0))
+        start = list(given or _NOTHING)
         for j, c in enumerate(self.constraints):
             fixed = 0.0 if c.kind == "hold" else c.value if c.kind == "velocity" else None
             if fixed is not None:
                 if given is not None and given[j] not in (0.0, fixed):
-                    raise ParameterError(
-                        f"initial velocity {given[j]} rad/s of joint {j + 1}",
-                        expected=f"{fixed} rad/s, as its constraint says",
-                    )
+                    what = f"initial velocity {given[j]} rad/s of joint {j + 1}"
+                    raise ParameterError(what, expected=f"{fixed} rad/s, as its constraint says")
                 start[j] = fixed
-        self.state = (*position, *start, *current)
+        self.state: tuple[float, ...] = (*q, *start, *i)
         self.bristles, self.further = AT_REST[:3], AT_REST[9:]
         self.links = links_at(self.state, time, self.constants, self.lock)
-        self.measured = settled_positions(position, self.constants.table)
+        self.measured = settled_positions(q, self.constants.table)
         self.past = self._past()
         self.time = float(time)
 
-    def remember(self, age, voltage) -> None:
+    def remember(self, age: ArrayLike, voltage: ArrayLike) -> None:
         """Tell a delay of the input what was asked for before now.
 
         age (k,) : falling [s]; voltage (k, 3) [V] or (k, 1): asked for from age[i] ago on, the
@@ -236,10 +224,10 @@ class Simulator:
         padding = np.zeros((len(voltage), 3 - voltage.shape[1]))
         self.past = self._past(age, np.hstack([padding, voltage]))
 
-    def _past(self, age=(), voltage=()) -> Past:
+    def _past(self, age: ArrayLike = (), voltage: ArrayLike = ()) -> Past:
         return Past(delay_of(self.constants.active, self.constants.table), age, voltage)
 
-    def step(self, voltage, duration: float = SERVO_PERIOD) -> tuple[float, ...]:
+    def step(self, voltage: ArrayLike, duration: float = SERVO_PERIOD) -> tuple[float, ...]:
         """Hold three voltages [V] for a duration [s]; returns the new state.
 
         Raises
@@ -247,23 +235,23 @@ class Simulator:
         ParameterError : not three finite numbers, a duration that is not positive.
         NonFiniteStateError : the state stopped being finite; the last finite one is kept.
         """
-        if not isfinite(duration) or duration <= 0.0:
-            raise ParameterError(f"duration {duration!r} s", expected="a positive number")
+        if not 0.0 < duration < inf:
+            check_positive(duration, "duration", "s")
         volts = widened(voltage, "voltage", self.plant.joints)
         self._advance(np.array([volts]), np.array([self.time, self.time + duration]), np.array([float(duration)]))
         self.time += duration
         return self.state
 
-    def run(self, time, voltage, *, acceleration: bool = False, enable=None) -> Recording:
+    def run(
+        self, time: ArrayLike, voltage: ArrayLike, *, acceleration: bool = False, enable: ArrayLike | None = None
+    ) -> Recording:
         """Run through rows of voltages from the present state.
 
         time : (n,) [s], increasing; voltage : (n, 3) [V], row r held until time[r + 1]; the last
         row is held by nobody. acceleration : record it too [rad/s^2]. enable : (n,) or (n, 3), 0
         where a drive is off and no current flows (without it the drives are on).
 
-        Returns
-        -------
-        Recording with the states at the same n times.
+        Returns a recording with the states at the same n times.
 
         Raises
         ------
@@ -271,71 +259,58 @@ class Simulator:
         NonFiniteStateError : the state stopped being finite; names the row, keeps the state.
         LimitError : a limit was exceeded and on_limit is "error".
         """
-        time, voltage = table(time, voltage, "voltage", self.plant.joints)
+        edges, volts = table(time, voltage, "voltage", self.plant.joints)
+        past = self.past
         try:
             if enable is None:
-                past = self.past
-                out = self._advance(voltage[:-1], time, np.diff(time))
+                out = self._advance(volts[:-1], edges, np.diff(edges))
             else:
-                past = self.past
-                out = self._switched(voltage, time, enable)
+                out = self._switched(volts, edges, enable)
         except NonFiniteStateError as error:
-            self.time = float(time[error.step - 1])
+            self.time = float(edges[error.step - 1])
             raise
-        self.time = float(time[-1])
-        return self._recorded(time, voltage, out, acceleration, past)
+        self.time = float(edges[-1])
+        return self._recorded(edges, volts, out, acceleration, past)
 
     def run_servo(
         self,
-        setpoint,
+        setpoint: ArrayLike,
         servo: ServoConfig = ServoConfig(),
         *,
         period: float = 0.028,
         samples: int = 30,
         voltage_limit: float = 40.0,
         acceleration: bool = False,
-        held_voltage=(0.0, 0.0, 0.0),
+        held_voltage: Sequence[float] = _NOTHING,
     ) -> Recording:
         """Run under the digital servo from the present state.
 
         setpoint : (n, 3) [rad], each held for one period [s] of `samples` servo samples, which
-        are integrated in steps of at most max_step; voltage_limit : at the motors [V];
-        held_voltage : what was asked for before the first sample [V], for a servo with a delay and,
-        where nothing ran before, a delay of the input.
+        are integrated in steps of at most max_step; voltage_limit : at the motors [V]; held_voltage : what was asked
+        for before the first sample [V], for a servo with a delay and, where nothing ran before, a delay of the input.
 
-        Returns
-        -------
-        Recording of n * samples + 1 rows, one a servo sample; its last voltage is held by nobody.
+        Returns a recording of n * samples + 1 rows, one a servo sample; its last voltage is held by nobody.
 
-        Raises
-        ------
-        ParameterError, NonFiniteStateError, LimitError : as `run`.
+        Raises ParameterError, NonFiniteStateError, LimitError: as `run`.
         """
-        setpoint = self._closed(setpoint, period, voltage_limit)
-        held_voltage = three(held_voltage, "held_voltage")
-        if isinstance(samples, bool) or not isinstance(samples, int) or samples < 1:
-            raise ParameterError(f"samples {samples!r}", expected="a whole number of at least 1")
-        h = period / samples
-        steps = int(step_counts(np.array([h]), self.max_step)[0])
-        servo_table = native(servo.table(h, voltage_limit, [m.gear_ratio for m in self.plant.arm.motors]))
-        memory = native(
-            [*servo_memory(tuple(setpoint[0].tolist()), self._seen(), servo_table), *servo.held_back(held_voltage)]
-        )
-        n = len(setpoint) * samples
-        out, volts = np.empty((n + 1, self._row)), np.zeros((n + 1, 3))
-        late, past = self._late(h, held_voltage), self.past
-        loop = ServoLoop(
-            self.time, samples, steps, h / steps, servo_table, memory, NO_DELAY if late is None else late.table
-        )
-        self._finish(
-            guarded(out, run_servo, self.whole, rows_of(setpoint), loop, self.constants, self.lock, out, volts), out
-        )
-        return self._sampled(setpoint, samples, h, out, volts, acceleration, late, past)
+        rows = self._setpoints(setpoint, period, voltage_limit)
+        held_voltage = check_numbers(held_voltage, "held_voltage")
+        h = period / check_whole(samples, "samples", 1)
+        servo_table = native(servo.table(h, voltage_limit, self.plant.gear_ratios))
+        start = servo_memory(tuple(rows[0].tolist()), self._seen(), servo_table)
+        memory = native([*start, *servo.held_back(held_voltage)])
+
+        def run(steps: int, late: SampledDelay | None, out: np.ndarray, volts: np.ndarray) -> int:
+            delay = NO_DELAY if late is None else late.table
+            loop = ServoLoop(self.time, samples, steps, h / steps, servo_table, memory, delay)
+            return guarded(out, run_servo, self.whole, rows_of(rows), loop, self.constants, self.lock, out, volts)
+
+        return self._closed_loop(run, rows, h, samples, held_voltage, acceleration)
 
     def run_controller(
         self,
         controller: Controller,
-        setpoint,
+        setpoint: ArrayLike,
         *,
         period: float = 0.028,
         voltage_limit: float = 40.0,
@@ -344,75 +319,62 @@ class Simulator:
     ) -> Recording:
         """Run under any controller (see `closed_loop`) from the present state; it is reset first.
 
-        setpoint : (n, 3) [rad], each held for one period [s], a whole number of the controller's
-        own; voltage_limit : at the motors [V]; chain : encoder, converter, amplifier and delay
-        around the controller, ideal by default.
+        setpoint : (n, 3) [rad], each held for one period [s], a whole number of the controller's own; voltage_limit :
+        at the motors [V]; chain : encoder, converter, amplifier and delay around the controller, ideal by default.
 
-        Returns
-        -------
-        Recording of a row a sample, as `run_servo`.
-
-        Raises
-        ------
-        ParameterError : also for a rate that does not fit, or other than three voltages.
-        NonFiniteStateError, LimitError : as `run`.
+        Returns a recording of a row a sample, as `run_servo`. Raises as `run`, and ParameterError for a rate that does
+        not fit, or other than three voltages.
         """
-        setpoint = self._closed(setpoint, period, voltage_limit)
+        rows = self._setpoints(setpoint, period, voltage_limit)
         samples = samples_per_period(controller, period)
         h = period / samples
-        loop = ControlLoop(
-            controller,
-            chain,
-            h,
-            int(step_counts(np.array([h]), self.max_step)[0]),
-            voltage_limit,
-            [m.gear_ratio for m in self.plant.arm.motors],
-            (self.constants, self.lock),
-        )
-        loop.late, past = self._late(h, (0.0, 0.0, 0.0)), self.past
-        n = len(setpoint) * samples
-        out, volts = np.empty((n + 1, self._row)), np.zeros((n + 1, 3))
-        self._finish(loop.run(self.whole, setpoint, samples, self.time, out, volts), out)
-        return self._sampled(setpoint, samples, h, out, volts, acceleration, loop.late, past)
 
-    def _closed(self, setpoint, period, voltage_limit) -> np.ndarray:
+        def run(steps: int, late: SampledDelay | None, out: np.ndarray, volts: np.ndarray) -> int:
+            kernel = (self.constants, self.lock)
+            loop = ControlLoop(controller, chain, h, steps, voltage_limit, self.plant.gear_ratios, kernel, late)
+            return loop.run(self.whole, rows, samples, self.time, out, volts)
+
+        return self._closed_loop(run, rows, h, samples, _NOTHING, acceleration)
+
+    def _setpoints(self, setpoint: ArrayLike, period: float, voltage_limit: float) -> np.ndarray:
+        """Checked setpoints (n, 3) [rad] of a closed loop."""
         if self.plant.joints != 3:
-            raise ParameterError(
-                f"a plant of {self.plant.joints} joint",
-                where="closed loop",
-                expected="an arm of three: servo and controllers have its gains",
-            )
+            expected = "an arm of three: servo and controllers have its gains"
+            raise ParameterError(f"a plant of {self.plant.joints} joint", where="closed loop", expected=expected)
         return setpoint_table(setpoint, period, voltage_limit)
-
-    def _beyond(self) -> tuple[float, ...]:
-        """Bristles, links and further deflections, as z of `dynamics.types`."""
-        return (*self.bristles, *self.links, *self.further)
 
     @property
     def whole(self) -> State:
         """The whole state, as a step takes it."""
-        return State(self.state, self._beyond(), self.measured)
+        return State(self.state, (*self.bristles, *self.links, *self.further), self.measured)
 
     def _seen(self) -> tuple[float, ...]:
         """Measured positions [rad]: the true ones where nothing is between."""
         return self.measured if self.constants.active & SENSED else self.state[:3]
 
-    def _late(self, h: float, held_voltage) -> SampledDelay | None:
-        """The delay of a loop with samples each h [s], filled with what ran before."""
-        if not self.constants.active & DELAYED:
-            return None
-        late = SampledDelay(self.past.delay, h, self.max_step)
-        late.hold(held_voltage, self.past)
-        return late
-
-    def _sampled(self, setpoint, samples, h, out, volts, acceleration, late, past) -> Recording:
-        """The recording of a closed loop with samples each h; volts (n, 3), the last row free."""
+    def _closed_loop(
+        self,
+        run: Callable[[int, SampledDelay | None, np.ndarray, np.ndarray], int],
+        setpoint: np.ndarray,
+        h: float,
+        samples: int,
+        held_voltage: Sequence[float],
+        acceleration: bool,
+    ) -> Recording:
+        """The recording of a loop with samples each h [s], which `run` fills; returns its first bad row or -1."""
+        steps, rows = int(step_counts(np.array([h]), self.max_step)[0]), len(setpoint) * samples + 1
+        late, past = None, self.past
+        if self.constants.active & DELAYED:
+            late = SampledDelay(past.delay, h, self.max_step)
+            late.hold(held_voltage, past)
+        out, volts = np.empty((rows, self._row)), np.zeros((rows, 3))
+        self._finish(run(steps, late, out, volts), out)
         if late is not None:
             if not len(past.age):
                 past = Past(past.delay, [0.0], [late.first])
             self.past = late.past(past.delay)
         volts[-1] = volts[-2]
-        time = self.time + h * np.arange(len(out))
+        time = self.time + h * np.arange(rows)
         self.time = float(time[-1])
         held = np.repeat(setpoint, samples, axis=0)
         return self._recorded(time, volts, out, acceleration, past, setpoint=np.vstack([held, held[-1:]]))
@@ -426,12 +388,7 @@ class Simulator:
         counts = step_counts(duration, self.max_step)
         out = np.empty((len(duration) + 1, self._row))
         try:
-            held = Rows(
-                rows_of(voltage),
-                rows_of(time[:-1]),
-                counts if BACKEND == "numba" else counts.tolist(),
-                rows_of(duration / counts),
-            )
+            held = Rows(rows_of(voltage), rows_of(time[:-1]), rows_of(counts), rows_of(duration / counts))
             self._finish(guarded(out, run_voltages, self.whole, held, self.constants, self.lock, out), out)
         except NonFiniteStateError as error:
             if rows is None:
@@ -442,7 +399,7 @@ class Simulator:
         self.past = past
         return out[rows]
 
-    def _switched(self, voltage: np.ndarray, time: np.ndarray, enable) -> np.ndarray:
+    def _switched(self, voltage: np.ndarray, time: np.ndarray, enable: ArrayLike) -> np.ndarray:
         """`_advance` with drives that are off in some rows; voltage has a row more, unused."""
         on = enabled(enable, len(voltage), self.plant.joints)[:-1]
         if not len(on):
@@ -477,7 +434,15 @@ class Simulator:
         if bad_row >= 0:
             raise NonFiniteStateError(bad_row)
 
-    def _recorded(self, time, voltage, out, acceleration, past, setpoint=None) -> Recording:
+    def _recorded(
+        self,
+        time: np.ndarray,
+        voltage: np.ndarray,
+        out: np.ndarray,
+        acceleration: bool,
+        past: Past,
+        setpoint: np.ndarray | None = None,
+    ) -> Recording:
         result = None
         if acceleration or self.limits.acceleration is not None:
             result, acting = np.empty((len(out), 3)), voltage

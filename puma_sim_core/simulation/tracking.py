@@ -13,15 +13,15 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from puma_sim_core.dynamics.laws import CURRENT_LIMIT, DELAYED, DRY, SENSED, TWO_MASS, current_bound, with_links
-from puma_sim_core.dynamics.runs import advance, is_finite, terminal_voltage
-from puma_sim_core.dynamics.two_mass_runs import train_advance
+from puma_sim_core.dynamics.runs import advance, is_finite, terminal_voltage, train_advance
 from puma_sim_core.dynamics.types import Drive, Model, Rows, State
 from puma_sim_core.errors import NonFiniteStateError, ParameterError
-from puma_sim_core.jit import BACKEND, compiled, inlined, merged
+from puma_sim_core.jit import compiled, inlined, merged
 from puma_sim_core.simulation.open_circuit import enabled
-from puma_sim_core.simulation.run_inputs import native, rows_of, step_counts
+from puma_sim_core.simulation.run_inputs import kernel_rows, native, rows_of
 from puma_sim_core.simulation.simulator import Simulator
 
 #: share of its limit from which a current counts as held by it
@@ -43,7 +43,7 @@ class Track(NamedTuple):
 
 
 @inlined
-def switched(drive, a, b, c):
+def switched(drive: Drive, a: float, b: float, c: float) -> Drive:
     """Constants of the drives where 0.0 for a joint cuts its drive off."""
     return Drive(
         drive[0],
@@ -65,7 +65,7 @@ def switched(drive, a, b, c):
 
 
 @merged
-def tracked_rows(advance, state, rows, track, constants, lock, out):
+def tracked_rows(advance: Any, state: Any, rows: Rows, track: Track, constants: Any, lock: Any, out: Any) -> int:
     """Innovations of each row, with a function like `runs.advance`.
 
     out : its measured positions are replaced by the innovations, and the six numbers behind them by the positions and
@@ -129,12 +129,12 @@ def tracked_rows(advance, state, rows, track, constants, lock, out):
 
 
 @compiled
-def _tracked(state, rows, track, constants, lock, out):
+def _tracked(state: Any, rows: Any, track: Any, constants: Any, lock: Any, out: Any) -> int:
     return tracked_rows(advance, state, rows, track, constants, lock, out)
 
 
 @compiled
-def _tracked_trains(state, rows, track, constants, lock, out):
+def _tracked_trains(state: Any, rows: Any, track: Any, constants: Any, lock: Any, out: Any) -> int:
     return tracked_rows(train_advance, state, rows, track, constants, lock, out)
 
 
@@ -146,67 +146,51 @@ class Tracked(NamedTuple):
     velocity: np.ndarray
 
 
-def innovations(simulator: Simulator, time, voltage, measured, gain, enable=None, corrected=None) -> Tracked:
+def innovations(
+    simulator: Simulator,
+    time: ArrayLike,
+    voltage: ArrayLike,
+    measured: ArrayLike,
+    gain: ArrayLike,
+    enable: ArrayLike | None = None,
+    corrected: ArrayLike | None = None,
+) -> Tracked:
     """Innovations of a model from its present state on.
 
-    simulator : at time[0], its state is used up; time (n,) [s]; voltage (n, J) [V], row r held
-    until time[r + 1]; measured (n, J) positions [rad]; gain (J, 3): of position [1], velocity
-    [1/s] and current [A/rad] for an innovation of a joint; enable (n, J), 0 where a drive is off;
-    corrected (n - 1,): whether the innovation of a row moves the state, None: each does. Where it
-    does not the model runs in open loop, and innovations are its errors.
+    simulator : at time[0], its state is used up; time (n,) [s]; voltage (n, J) [V], row r held until time[r + 1];
+    measured (n, J) positions [rad]; gain (J, 3): of position [1], velocity [1/s] and current [A/rad] for an innovation
+    of a joint; enable (n, J), 0 where a drive is off; corrected (n - 1,): whether the innovation of a row moves the
+    state, None: each does. Where it does not the model runs in open loop, and innovations are its errors.
 
-    Returns
-    -------
-    (n - 1, J) measured less predicted positions [rad] at time[1:], and the positions [rad] and
-    velocities [rad/s] that the model predicts there, (n - 1, J) each.
-
-    Raises
-    ------
-    ParameterError : shapes that do not go together.
-    NonFiniteStateError : the state stopped being finite.
+    Returns `Tracked`, at time[1:]. Raises ParameterError: shapes that do not go together; NonFiniteStateError: the
+    state stopped being finite.
     """
     time = np.ascontiguousarray(time, dtype=float)
     J, n = simulator.plant.joints, len(time)
     voltage, measured, gain = (np.asarray(a, dtype=float) for a in (voltage, measured, gain))
     if voltage.shape != (n, J) or measured.shape != (n, J) or gain.shape != (J, 3) or n < 2:
-        raise ParameterError(
-            f"time {time.shape}, voltage {voltage.shape}, measured {measured.shape}, gain {gain.shape}",
-            where="innovations",
-            expected=f"(n,), (n, {J}), (n, {J}), ({J}, 3)",
-        )
+        what = f"time {time.shape}, voltage {voltage.shape}, measured {measured.shape}, gain {gain.shape}"
+        raise ParameterError(what, where="innovations", expected=f"(n,), (n, {J}), (n, {J}), ({J}, 3)")
     hidden = 3 - J
-
-    def wide(a):
-        return np.ascontiguousarray(np.pad(a, ((0, 0), (hidden, 0))))
-
-    volts, duration = wide(voltage[:-1]), np.diff(time)
+    volts = np.ascontiguousarray(np.pad(voltage[:-1], ((0, 0), (hidden, 0))))
     out = np.zeros((n - 1, 9))
-    out[:, 0:3] = wide(measured[1:])
+    out[:, hidden:3] = measured[1:]
     on = np.ones((n - 1, 3)) if enable is None else enabled(enable, n, J)[:-1].astype(float)
     target, edges = np.arange(n - 1), time
     active = simulator.constants.active
     if active & DELAYED:
         pieces, _ = simulator.past.arriving(time, volts)
-        edges, volts, duration = pieces.time, pieces.voltage, np.diff(pieces.time)
-        target = np.full(len(duration), -1)
+        edges, volts = pieces.time, pieces.voltage
+        target = np.full(len(volts), -1)
         target[pieces.row[1:] - 1] = np.arange(n - 1)
-        on = on[np.clip(np.searchsorted(pieces.row, np.arange(len(duration)), side="right") - 1, 0, n - 2)]
-    counts = step_counts(duration, simulator.max_step)
+        on = on[np.clip(np.searchsorted(pieces.row, np.arange(len(volts)), side="right") - 1, 0, n - 2)]
     corrected = np.ones(n - 1, dtype=bool) if corrected is None else np.asarray(corrected, bool)
     if corrected.shape != (n - 1,):
         raise ParameterError(f"corrected {corrected.shape}", where="innovations", expected=f"({n - 1},)")
     gains = native([0.0] * (3 * hidden) + gain.ravel().tolist())
     run = _tracked_trains if active & TWO_MASS else _tracked
-    compiled_kernel = BACKEND == "numba"
-    rows = Rows(
-        rows_of(volts), rows_of(edges[:-1]), counts if compiled_kernel else counts.tolist(), rows_of(duration / counts)
-    )
-    track = Track(
-        rows_of(on),
-        target if compiled_kernel else target.tolist(),
-        corrected if compiled_kernel else corrected.tolist(),
-        gains,
-    )
+    rows = kernel_rows(volts, edges, simulator.max_step)
+    track = Track(rows_of(on), rows_of(target), rows_of(corrected), gains)
     bad = run(simulator.whole, rows, track, simulator.constants, simulator.lock, out)
     if bad >= 0 or not np.isfinite(out).all():
         raise NonFiniteStateError(int(bad))

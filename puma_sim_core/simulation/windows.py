@@ -2,36 +2,38 @@
 # Copyright the puma-sim contributors
 """A measured log in open loop: its voltages through the model, started again every few seconds.
 
-At the start of each window the model takes over the measured state; from there to the end of the
-window it sees the voltages alone, and what it is then away from the measured positions is the
-open-loop error. A log need hold no more than voltages and positions: the velocity is then the
-slope of the positions about the row (`local_motion`), and the current that which the voltages
-before the row drive against the back-EMF (`driven_current`). The deflections of
+At the start of each window the model takes over the measured state; from there to the end of the window it sees the
+voltages alone, and what it is then away from the measured positions is the open-loop error. A log need hold no more
+than voltages and positions: the velocity is then the slope of the positions about the row (`local_motion`), and the
+current that which the voltages before the row drive against the back-EMF (`driven_current`). The deflections of
 bristles cannot be measured; they go on from the end of the window before.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from puma_sim_core.checks import check_positive
 from puma_sim_core.dynamics.laws import SENSED, combined
 from puma_sim_core.dynamics.runs import terminal_voltages
 from puma_sim_core.dynamics.sensed import true_motion
 from puma_sim_core.effects.base import VOLTAGE, Point
-from puma_sim_core.errors import NonFiniteStateError, ParameterError, RecordingError
+from puma_sim_core.errors import NonFiniteStateError, RecordingError
 from puma_sim_core.jit import interpreted
 from puma_sim_core.plant.plant import Plant
 from puma_sim_core.recording.recording import GROUPS, Recording
 from puma_sim_core.simulation.delay import delay_of
-from puma_sim_core.simulation.simulator import Simulator, native
+from puma_sim_core.simulation.run_inputs import native
+from puma_sim_core.simulation.simulator import Simulator
 
-_bound = combined(Point.CURRENT_BOUND, interpreted)
-#: half of the stretch of positions that a slope is taken from [s]: a cubic through 40 ms of a
-#: motion of 8 Hz gives its velocity to 0.3 %, and encoder counts of 1e-4 rad at 1 kHz spread it
-#: by 1 mrad/s
+_bound: Callable[..., float] = combined(Point.CURRENT_BOUND, interpreted)
+#: half of the stretch of positions that a slope is taken from [s]: a cubic through 40 ms of a motion of 8 Hz gives its
+#: velocity to 0.3 %, and encoder counts of 1e-4 rad at 1 kHz spread it by 1 mrad/s
 HALF_STRETCH = 0.020
 #: time constants L/R of past voltage that a current is made of; what is older counts e^-40
 _MEMORY = 40.0
@@ -55,15 +57,11 @@ class OpenLoopErrors:
 def window_starts(time: np.ndarray, interval: float) -> np.ndarray:
     """Rows that windows start at: row 0 and those nearest to each further interval [s].
 
-    time : (n,) [s]. Without a row within half a sample it is the first one after; the last row
-    starts none.
+    time : (n,) [s]. Without a row within half a sample it is the first one after; the last row starts none.
 
-    Raises
-    ------
-    ParameterError : an interval that is not a positive number.
+    Raises ParameterError: an interval that is not a positive number.
     """
-    if not 0.0 < interval < float("inf"):
-        raise ParameterError(f"{interval!r} s", where="time between restarts", expected="a positive number")
+    check_positive(interval, "interval", "s", "time between restarts")
     if len(time) < 2:
         return np.zeros(1, dtype=int)
     sample = float(np.median(np.diff(time)))
@@ -78,9 +76,8 @@ def local_motion(time: np.ndarray, position: np.ndarray, row: int) -> tuple[np.n
     """Velocity (J) [rad/s] and acceleration (J) [rad/s^2] at a row of measured positions.
 
     A cubic is fitted by least squares to the rows within `HALF_STRETCH`, or 2.5 samples where
-    that is longer, on both sides alike: it shifts nothing in time. A parabola serves where rows
-    are on one side only, and less where they are too few. time (n,) [s] may be uneven, n >= 2;
-    position (n, J) [rad].
+    that is longer, on both sides alike: it shifts nothing in time. A parabola serves where rows are on one side only,
+    and less where they are too few. time (n,) [s] may be uneven, n >= 2; position (n, J) [rad].
     """
     gaps = np.diff(time[max(0, row - 1) : row + 2])
     reach = max(HALF_STRETCH, 2.5 * float(gaps.min()))
@@ -101,10 +98,9 @@ def driven_current(
 
     L di/dt + R i = V - ke N qd makes i the quasi-static (V - ke N qd) / R, averaged over the
     past with the weight e^(-s R/L): V of the rows before, exactly as they were held, and
-    qd(t - s) = qd - s qdd. At the first row its own voltage stands for the past. The amplifier's
-    effects act on V, a delay of the input on its time, a current limit on the result. A motor without
-    inductance has the current of the row's own voltage. voltage (n, J) [V], velocity (J) [rad/s],
-    acceleration (J) [rad/s^2].
+    qd(t - s) = qd - s qdd. At the first row its own voltage stands for the past. The amplifier's effects act on V, a
+    delay of the input on its time, a current limit on the result. A motor without inductance has the current of the
+    row's own voltage. voltage (n, J) [V], velocity (J) [rad/s], acceleration (J) [rad/s^2].
     """
     hidden = 3 - plant.joints
     motors, table = plant.arm.motors[hidden:], native(plant.constants.table)
@@ -120,7 +116,7 @@ def driven_current(
     held = voltage[first:after]
     if any(effect.kind.acts == VOLTAGE for effect in plant.effects):
         rows = np.pad(held, ((0, 0), (hidden, 0))).tolist()
-        held = np.array([terminal_voltages(*v, table)[hidden:] for v in rows])
+        held = np.array([terminal_voltages(a, b, c, table)[hidden:] for a, b, c in rows])
     edges = asked - time[first : after + 1]
     edges[-1] = 0.0
     current = np.empty(len(motors))
@@ -143,24 +139,25 @@ def measured_state(plant: Plant, log: Recording, row: int) -> tuple[np.ndarray, 
     What the log holds is taken as it is; the rest comes from `local_motion` and `driven_current`.
     Where the plant's sensors measure another position, this is the true one behind the log's.
     """
-    velocity, acceleration = local_motion(log.time, log.position, row)
-    position, velocity = true_start(plant, log.position[row], velocity, acceleration)
-    if log.velocity is not None:
-        velocity = log.velocity[row]
+    measured: Any = log.position
+    velocity, acceleration = local_motion(log.time, measured, row)
+    position, velocity = true_start(plant, measured[row], velocity, acceleration)
+    velocity = velocity if log.velocity is None else log.velocity[row]
     if log.current is not None:
-        current = log.current[row]
-    else:
-        current = driven_current(plant, log.time, log.voltage, row, velocity, acceleration)
-    return position, velocity, current
+        return position, velocity, log.current[row]
+    volts: Any = log.voltage
+    return position, velocity, driven_current(plant, log.time, volts, row, velocity, acceleration)
 
 
-def true_start(plant: Plant, position, velocity, acceleration) -> tuple[np.ndarray, np.ndarray]:
+def true_start(
+    plant: Plant, position: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """True position [rad] and velocity [rad/s] (J each) behind a measured motion (J each)."""
     if not plant.constants.active & SENSED:
         return position, velocity
     hidden = 3 - plant.joints
-    motion = (np.pad(values, (hidden, 0)) for values in (position, velocity, acceleration))
-    position, velocity = true_motion(*motion, plant.constants.table)
+    q, qd, qdd = (np.pad(values, (hidden, 0)) for values in (position, velocity, acceleration))
+    position, velocity = true_motion(q, qd, qdd, plant.constants.table)
     return position[hidden:], velocity[hidden:]
 
 
@@ -174,17 +171,13 @@ def run_windows(
 ) -> tuple[Recording, OpenLoopErrors]:
     """Run a log's voltages in windows of `interval` [s], each from the measured state.
 
-    Parameters
-    ----------
     simulator : its state is replaced; a joint that it constrains to a velocity takes that one.
     log : times, voltages and positions, velocities and currents if they were measured.
     acceleration : record it too [rad/s^2].
     report : called with the number of rows that are done, after each window.
 
-    Returns
-    -------
-    Recording at the times of the log, whose row is the measured state where a window starts, and
-    the errors of the predictions.
+    Returns the recording at the times of the log, whose row is the measured state where a window starts, and the errors
+    of the predictions.
 
     Raises
     ------
@@ -193,18 +186,15 @@ def run_windows(
     NonFiniteStateError : the state stopped being finite; ``step`` is the row of the log.
     """
     if log.voltage is None or log.position is None or len(log) < 2:
-        raise RecordingError(
-            f"{len(log)} row{'s' * (len(log) != 1)} with {_present(log)}",
-            where="log",
-            expected="two rows or more with voltage and position",
-        )
+        present = ", ".join(name for name in GROUPS if getattr(log, name) is not None) or "times alone"
+        what = f"{len(log)} row{'s' * (len(log) != 1)} with {present}"
+        raise RecordingError(what, where="log", expected="two rows or more with voltage and position")
     starts = window_starts(log.time, interval)
-    ends = np.append(starts[1:], len(log) - 1)
     joints = log.position.shape[1]
     state = np.empty((len(log), 3 * joints))
     second = np.empty((len(log), joints)) if acceleration else None
     error = np.zeros_like(log.position)
-    for first, last in zip(starts.tolist(), ends.tolist()):
+    for first, last in itertools.pairwise([*starts.tolist(), len(log) - 1]):
         _restart(simulator, log, first)
         rows = slice(first, last + 1)
         try:
@@ -212,51 +202,31 @@ def run_windows(
         except NonFiniteStateError as problem:
             raise NonFiniteStateError(first + problem.step) from None
         # the row that ends a window starts the next one, which then writes over it
-        state[rows] = np.hstack([run.position, run.velocity, run.current])
+        state[rows] = run.states()
         if second is not None:
             second[rows] = run.acceleration
         error[first + 1 : last + 1] = (run.position - log.position[rows])[1:]
         report(last + 1)
-    recording = Recording(
-        time=log.time,
-        voltage=log.voltage,
-        position=state[:, :joints],
-        velocity=state[:, joints : 2 * joints],
-        current=state[:, 2 * joints :],
-        acceleration=second,
-    )
-    row = np.abs(error).argmax(axis=0)
-    return recording, OpenLoopErrors(
-        rms=np.sqrt((error[1:] ** 2).mean(axis=0)),
-        worst=np.abs(error).max(axis=0),
-        worst_time=log.time[row],
-        windows=len(starts),
-    )
+    position, velocity, current = np.hsplit(state, 3)
+    size = np.abs(error)
+    rms, worst_time = np.sqrt((error[1:] ** 2).mean(axis=0)), log.time[size.argmax(axis=0)]
+    recording = Recording(log.time, log.voltage, position, velocity, current, acceleration=second)
+    return recording, OpenLoopErrors(rms, size.max(axis=0), worst_time, len(starts))
 
 
 def _restart(simulator: Simulator, log: Recording, row: int) -> None:
-    position, velocity, current = measured_state(simulator.plant, log, row)
-    own = [
-        c.kind == "hold" or (c.kind == "velocity" and c.value is not None)
-        for c in simulator.constraints[3 - simulator.plant.joints :]
-    ]
+    """Start the simulator from the measured state at a row; bristles and other memories go on."""
+    plant, hidden = simulator.plant, 3 - simulator.plant.joints
+    measured: Any = log.position
+    position, velocity, current = measured_state(plant, log, row)
+    own = [c.kind == "hold" or (c.kind == "velocity" and c.value is not None) for c in simulator.constraints[hidden:]]
     bristles, further = simulator.bristles, simulator.further
     simulator.reset(position, np.where(own, 0.0, velocity), current, time=log.time[row])
     simulator.bristles, simulator.further = bristles, further
-    if simulator.plant.constants.active & SENSED:
+    if plant.constants.active & SENSED:
         # behind a lag it is not what a sensor at rest there would give
-        simulator.measured = tuple(np.pad(log.position[row], (3 - len(position), 0)).tolist())
-    tell_past(simulator, log.time, log.voltage, row)
-
-
-def tell_past(simulator: Simulator, time: np.ndarray, voltage: np.ndarray, row: int) -> None:
-    """Tell the delay of the input of a plant that starts at a row what was asked for before it."""
-    delay = simulator.past.delay
-    if delay > 0.0 and row > 0:
-        first = max(0, int(np.searchsorted(time, time[row] - delay, side="right")) - 1)
-        simulator.remember(time[row] - time[first:row], voltage[first:row])
-
-
-def _present(log: Recording) -> str:
-    names = [name for name in GROUPS if getattr(log, name) is not None]
-    return ", ".join(names) or "times alone"
+        simulator.measured = tuple(np.pad(measured[row], (hidden, 0)).tolist())
+    delay, volts = simulator.past.delay, log.voltage
+    if delay > 0.0 and row > 0 and volts is not None:
+        first = max(0, int(np.searchsorted(log.time, log.time[row] - delay, side="right")) - 1)
+        simulator.remember(log.time[row] - log.time[first:row], volts[first:row])

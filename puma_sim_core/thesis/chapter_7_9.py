@@ -10,20 +10,30 @@ from dataclasses import dataclass
 import numpy as np
 
 from puma_sim_core.control.controllers import make_controller
-from puma_sim_core.control.linear import least_damped, linearised, pid_loop, sampled
-from puma_sim_core.control.metrics import effort, step_quality, tracking_error
-from puma_sim_core.control.setpoints import Move, joint_path, joint_setpoints
-from puma_sim_core.dynamics.pid import Pid, PidGains
+from puma_sim_core.control.metrics import step_quality
+from puma_sim_core.control.setpoints import Move
 from puma_sim_core.plant.plant import Plant
-from puma_sim_core.simulation.simulator import SERVO_PERIOD, Constraint, Simulator
-from puma_sim_core.thesis.motions import HORIZONTAL, UPRIGHT
-from puma_sim_core.thesis.registry import Context, experiment
-from puma_sim_core.thesis.result import Curve, Figure, Result, Row
-from puma_sim_core.thesis.tuning import case, gains_text
+from puma_sim_core.servo.pid import Pid, PidGains
+from puma_sim_core.simulation.simulator import SERVO_PERIOD
+from puma_sim_core.thesis.motions import (
+    HORIZONTAL,
+    LIMIT,
+    UPRIGHT,
+    Case,
+    case,
+    damping,
+    gains_text,
+    kg_ti_td,
+    run_moves,
+    tracking,
+)
+from puma_sim_core.thesis.registry import Context
+from puma_sim_core.thesis.result import Curve, Figure, Numbers, Result, Row
+from puma_sim_core.thesis.wording import Words
 from puma_sim_core.tuning.schedule_design import placed_gains
 from puma_sim_core.tuning.ziegler_nichols import settings
 
-LIMIT = 40.0
+words = Words(__name__)
 #: the plots' own path is not in the text: a ramp out, a rest, a ramp back, for joint 1
 RAMPS = (Move(0.28, 1.0, (0.5, 0.0, 0.0), "ramp"), Move(2.52, 1.0, (-0.5, 0.0, 0.0), "ramp"))
 DURATION = 5.04
@@ -39,6 +49,7 @@ DESCENT = (
     Move(3.36, 0.0, (-STEP, 0.0, 0.0), "step"),
 )
 DESCENT_TIME = 4.48
+PRINTED, OWN = "estimated, as printed", "estimated, corrected model"
 
 
 @dataclass(frozen=True)
@@ -48,220 +59,94 @@ class Pose:
 
     plot: str
     name: str
-    angles: tuple[float, float, float]
-    tuned_at: str
+    case: Case
     measured: PidGains
     printed_difference: float
 
 
 POSES = (
-    Pose("7.25", "extended, horizontal", HORIZONTAL, "7.18", PidGains(137.0, 0.315, 0.032), 35.0),
-    Pose("7.26", "vertical", UPRIGHT, "7.17", PidGains(176.0, 0.42, 0.04), 17.0),
+    Pose("7.25", "extended, horizontal", case("7.18"), PidGains(137.0, 0.315, 0.032), 35.0),
+    Pose("7.26", "vertical", case("7.17"), PidGains(176.0, 0.42, 0.04), 17.0),
 )
 
 
 def gains_of(plant: Plant, pose: Pose) -> dict[str, PidGains]:
     """The constant gains that are compared at a pose."""
-    tuned = case(pose.tuned_at)
-    return {
-        "measured": pose.measured,
-        "estimated, as printed": settings(tuned.printed),
-        "estimated, corrected model": settings(tuned.ultimate(plant)),
-    }
+    own = pose.case.ultimate(plant)
+    return {"measured": pose.measured, PRINTED: settings(pose.case.printed), OWN: settings(own)}
 
 
-def run_path(plant: Plant, controller, pose, moves, duration, alone: bool = True):
-    """(recording, path) of the arm at rest at a pose; alone : joints 2 and 3 are locked."""
-    held = Constraint("hold") if alone else Constraint()
-    simulator = Simulator(plant, constraints=(Constraint(), held, held))
-    simulator.reset(pose)
-    _, setpoint = joint_setpoints(pose, moves, duration)
-    run = simulator.run_controller(controller, setpoint[:-1], voltage_limit=LIMIT)
-    return run, joint_path(pose, moves, run.time)
-
-
-def damping(plant: Plant, pose, gains: PidGains) -> float:
-    """Damping ratio of joint 1's least damped oscillation, the others locked."""
-    loop = pid_loop(*sampled(*linearised(plant, pose, (1,)), SERVO_PERIOD), (gains,), SERVO_PERIOD)
-    return float(least_damped(loop, SERVO_PERIOD)[0])
-
-
-def path_numbers(run, path) -> dict[str, float]:
-    """Errors of joint 1 on the ramps, and by how much it runs on at the end of the first."""
-    error, used = tracking_error(run, path), effort(run, LIMIT)
-    rest = (run.time >= FIRST_REST[0]) & (run.time < FIRST_REST[1])
-    beyond = (run.position - path)[rest, 0].max()
-    return {
-        "rms_mrad": 1e3 * error.rms[0],
-        "worst_mrad": 1e3 * error.worst[0],
-        "beyond_mrad": 1e3 * max(beyond, 0.0),
-        "volts_rms": used.rms[0],
-    }
-
-
-def path_rows(label: str, found: dict) -> Row:
-    """Errors of a controller at a pose."""
-    return Row(
-        label,
-        "mrad; mrad; mrad",
-        None,
-        f"rms {found['rms_mrad']:.3g}; worst {found['worst_mrad']:.3g}; runs on by {found['beyond_mrad']:.3g}",
-    )
-
-
-def tracking(plant: Plant, pose: Pose, rows: list, numbers: dict) -> Figure:
+def plot(plant: Plant, pose: Pose, rows: list[Row], numbers: Numbers) -> Figure:
     """The redrawn plot of a pose."""
     gains = gains_of(plant, pose)
     made = {name: Pid([g] * 3, SERVO_PERIOD, limit=LIMIT) for name, g in gains.items()}
     made["scheduled"] = make_controller("scheduled", plant)
-    curves = []
+    curves: list[Curve] = []
     for name, controller in made.items():
-        run, path = run_path(plant, controller, pose.angles, RAMPS, DURATION)
-        found = path_numbers(run, path)
-        if not curves:
-            curves.append(Curve("setpoint", run.time, path[:, 0], "steps"))
+        run, path = run_moves(plant, controller, pose.case.pose, RAMPS, DURATION, 1)
+        curves = curves or [Curve("setpoint", run.time, path[:, 0], "steps")]
         curves.append(Curve(name, run.time, run.position[:, 0], "dashed" if name == "scheduled" else "line"))
-        numbers |= {f"{pose.plot} {name}: {key}": value for key, value in found.items()}
+        found = {key: values[0] for key, values in tracking(run, path).items()}
+        rest = (run.time >= FIRST_REST[0]) & (run.time < FIRST_REST[1])
+        found["beyond_mrad"] = 1e3 * max((run.position - path)[rest, 0].max(), 0.0)
+        numbers |= {f"{pose.plot} {name}: {key}": each for key, each in found.items()}
         if name in gains:
-            ratio = damping(plant, pose.angles, gains[name])
+            ratio, _ = damping(plant, pose.case.pose, 1, gains[name])
             numbers[f"{pose.plot} {name}: damping"] = ratio
-            rows.append(
-                Row(
-                    f"plot {pose.plot}, {name}",
-                    "",
-                    None,
-                    gains_text(gains[name]),
-                    f"Damping of the least damped oscillation: {ratio:.3g}.",
-                )
-            )
-        rows.append(path_rows(f"plot {pose.plot}, {name}: error", found))
-    rows.append(_comparison(pose, numbers))
-    rows += _differences(pose, gains, numbers)
-    return Figure(
-        pose.plot,
-        f"Joint 1 on a path, arm {pose.name}",
-        "time [s]",
-        "joint 1 [rad]",
-        tuple(curves),
-        note="The path is ours: ramps of 0.5 rad in a second; the plot's own is not in the text.",
-    )
+            rows.append(words.row("gains", gains_text(gains[name]), plot=pose.plot, name=name, damping=ratio))
+        rows.append(words.row("error", plot=pose.plot, name=name, found=found))
+    measured, estimated = (numbers[f"{pose.plot} {name}: rms_mrad"] for name in ("measured", PRINTED))
+    better = words.text("better", case=measured < estimated)
+    percent = 100.0 * (max(measured, estimated) / min(measured, estimated) - 1.0)
+    rows.append(words.row("better", better, case=pose.plot, plot=pose.plot, percent=percent))
+    off = 100.0 * np.abs(np.divide(kg_ti_td(gains[PRINTED]), kg_ti_td(pose.measured)) - 1.0)
+    numbers[f"{pose.plot} differences_percent"] = off
+    rows.append(words.row("differences", pose=pose, off=off, mean=np.mean(off)))
+    return words.figure("tracking", curves, pose=pose)
 
 
-def _comparison(pose: Pose, numbers: dict) -> Row:
-    measured, estimated = (numbers[f"{pose.plot} {name}: rms_mrad"] for name in ("measured", "estimated, as printed"))
-    printed = "the measured is more accurate" if pose.plot == "7.25" else "difficult to determine which is better"
-    ours = "the measured" if measured < estimated else "the estimated"
-    worse = max(measured, estimated) / min(measured, estimated)
-    return Row(
-        f"plot {pose.plot}: measured against estimated, as printed",
-        "",
-        printed,
-        f"{ours} is more accurate",
-        f"The rms error of the other is {100.0 * (worse - 1.0):.0f} % greater.",
-    )
-
-
-def _differences(pose: Pose, gains, numbers: dict) -> list[Row]:
-    estimated = gains["estimated, as printed"]
-    percent = [
-        100.0 * abs(getattr(estimated, name) / getattr(pose.measured, name) - 1.0)
-        for name in ("gain", "integral_time", "derivative_time")
-    ]
-    numbers[f"{pose.plot} differences_percent"] = percent
-    return [
-        Row(
-            f"estimated from measured values, {pose.name}",
-            "%",
-            pose.printed_difference,
-            f"Kg {percent[0]:.0f}, Ti {percent[1]:.0f}, Td {percent[2]:.0f}",
-            "Chapter 7 does not say of which parameter; the printed values give these: "
-            f"no one of them, nor their mean ({np.mean(percent):.0f} %), is the printed number.",
-        )
-    ]
-
-
-def descent(plant: Plant, rows: list, numbers: dict) -> Figure:
+def descent(plant: Plant, rows: list[Row], numbers: Numbers) -> Figure:
     """Joint 1 steps upright and stretched out: gains fixed for one of the two, and scheduled."""
-
-    def fixed(pose):
-        placed = placed_gains(plant, np.array(pose), (BANDWIDTH,) * 3).tolist()
-        return Pid([PidGains(*g) for g in placed], SERVO_PERIOD, limit=LIMIT, on_measurement=True)
-
-    made = {
-        "fixed, upright": fixed(UPRIGHT),
-        "fixed, horizontal": fixed(HORIZONTAL),
-        "scheduled": make_controller("scheduled", plant),
-    }
-    curves = []
+    made = {}
+    for name, pose in {"upright": UPRIGHT, "horizontal": HORIZONTAL}.items():
+        gains = [PidGains(*g) for g in placed_gains(plant, np.array(pose), (BANDWIDTH,) * 3).tolist()]
+        made[f"fixed, {name}"] = Pid(gains, SERVO_PERIOD, limit=LIMIT, on_measurement=True)
+    made["scheduled"] = make_controller("scheduled", plant)
+    out, down, back = (move.start for move in DESCENT)
+    curves: list[Curve] = []
     for name, controller in made.items():
-        run, path = run_path(plant, controller, UPRIGHT, DESCENT, DESCENT_TIME, alone=False)
-        if not curves:
-            curves.append(Curve("setpoint", run.time, path[:, 0], "steps"))
-        curves.append(Curve(name, run.time, run.position[:, 0]))
-        first = run.time < DESCENT[1].start
-        q1 = run.position[:, 0]
-        found = (
-            step_quality(run.time[first], q1[first], 0.0, STEP, at=DESCENT[0].start),
-            step_quality(run.time, q1, STEP, 0.0, at=DESCENT[2].start),
-        )
-        between = (run.time >= DESCENT[1].start) & (run.time < DESCENT[2].start)
-        disturbed = 1e3 * np.abs(run.position - path)[between, 0].max()
-        numbers |= {f"descent {name}: disturbed_mrad": disturbed}
-        for where, quality in zip(("upright", "horizontal"), found):
-            settled = quality.settling_time
-            numbers |= {
-                f"descent {name}: {where} overshoot": quality.overshoot,
-                f"descent {name}: {where} settling": settled if np.isfinite(settled) else None,
-            }
-            words = f"{settled:.3g} s" if np.isfinite(settled) else "not within the record"
-            rows.append(
-                Row(
-                    f"gains {name}: step of joint 1, {where}",
-                    "%; s",
-                    None,
-                    f"overshoot {100.0 * quality.overshoot:.3g}; settled {words}",
-                )
-            )
-    return Figure(
-        "7.9-schedule",
-        "Joint 1 steps upright, the arm comes down, it steps back",
-        "time [s]",
-        "joint 1 [rad]",
-        tuple(curves),
-        note=f"All gains by the same rule: three poles at -{BANDWIDTH:g} rad/s at the "
-        "pose that they are made for. All joints are free.",
-    )
+        run, path = run_moves(plant, controller, UPRIGHT, DESCENT, DESCENT_TIME, None)
+        time, q1 = run.time, run.position[:, 0]
+        curves = curves or [Curve("setpoint", time, path[:, 0], "steps")]
+        curves.append(Curve(name, time, q1))
+        between = (time >= down) & (time < back)
+        numbers[f"descent {name}: disturbed_mrad"] = 1e3 * np.abs(run.position - path)[between, 0].max()
+        found = {
+            "upright": step_quality(time[time < down], q1[time < down], 0.0, STEP, at=out),
+            "horizontal": step_quality(time, q1, STEP, 0.0, at=back),
+        }
+        for where, quality in found.items():
+            settled = quality.settling_time if np.isfinite(quality.settling_time) else None
+            numbers[f"descent {name}: {where} overshoot"] = quality.overshoot
+            numbers[f"descent {name}: {where} settling"] = settled
+            about = {"name": name, "where": where, "overshoot": 100.0 * quality.overshoot, "settled": settled}
+            rows.append(words.row("step", case=settled is not None, **about))
+    return words.figure("7.9-schedule", curves, bandwidth=BANDWIDTH)
 
 
-@experiment("7.9", "Control with measured PID values, and gain scheduling", chapter="7.9")
+@words.experiment("7.9")
 def run(context: Context) -> Result:
     """Plots 7.25 and 7.26, and the gain-scheduled controller."""
-    plant, rows, numbers, drawn = Plant.of(), [], {}, []
+    plant, rows, figures, numbers = Plant.of(), list[Row](), list[Figure](), Numbers()
     for pose in POSES:
-        drawn.append(tracking(plant, pose, rows, numbers))
-        context.progress(0.3 * len(drawn))
-    drawn.append(descent(plant, rows, numbers))
+        figures.append(plot(plant, pose, rows, numbers))
+        context.progress(0.3 * len(figures))
+    figures.append(descent(plant, rows, numbers))
     context.progress(1.0)
-
-    def ratio(plot, name):
-        return numbers[f"{plot} measured: rms_mrad"] / numbers[f"{plot} {name}: rms_mrad"]
-
+    rms = {n: np.array([numbers[f"{p.plot} {n}: rms_mrad"] for p in POSES]) for n in ("measured", PRINTED, OWN)}
+    ratios = {name: rms["measured"] / rms[name] for name in (PRINTED, OWN)}
     over = {
         name: [100.0 * numbers[f"descent {name}: {where} overshoot"] for where in ("upright", "horizontal")]
         for name in ("fixed, upright", "fixed, horizontal", "scheduled")
     }
-    return Result(
-        f"With the measured values the rms error is {ratio('7.25', 'estimated, as printed'):.2f} "
-        "times that with the printed estimates when the arm is extended, and "
-        f"{ratio('7.26', 'estimated, as printed'):.2f} times when it is vertical. Gains from the "
-        "ultimate gains of the corrected model are some twenty times greater and make both errors "
-        f"much smaller ({ratio('7.25', 'estimated, corrected model'):.0f} and "
-        f"{ratio('7.26', 'estimated, corrected model'):.0f} times). With gains fixed for the "
-        f"upright arm a step of joint 1 overshoots by {over['fixed, upright'][0]:.1f} % there and "
-        f"by {over['fixed, upright'][1]:.1f} % stretched out; fixed for the stretched arm, by "
-        f"{over['fixed, horizontal'][0]:.1f} and {over['fixed, horizontal'][1]:.1f} %; scheduled, "
-        f"by {over['scheduled'][0]:.1f} and {over['scheduled'][1]:.1f} %.",
-        tuple(rows),
-        tuple(drawn),
-        numbers,
-    )
+    return words.result("7.9", rows, figures, numbers, ratios=ratios, over=over)

@@ -2,42 +2,55 @@
 # Copyright the puma-sim contributors
 """Chapter 8, the thesis's closing wish: smooth setpoints, velocity loops, decoupling.
 
-Five controllers do the same: steps, a path with abrupt changes of velocity, and the same path
-smoothly. Each is designed once, on the model. The arm then is the model, differs from it by 10 %
-in every parameter that matters, or has friction that no controller knows of.
+Five controllers, designed on the model, do steps, a path with abrupt changes of velocity, and the same path smoothly.
+The arm then is the model, differs from it by 10 % in every parameter that matters, or has unknown friction.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from math import inf
 
 import numpy as np
 
 from puma_sim_core.control.controllers import load_settings, make_controller
-from puma_sim_core.control.metrics import effort, step_quality, tracking_error
-from puma_sim_core.control.setpoints import Move, joint_path, joint_setpoints
-from puma_sim_core.control.velocity_loop import VelocityLoop
-from puma_sim_core.dynamics.pid import Pid
+from puma_sim_core.control.metrics import effort, step_quality
+from puma_sim_core.control.setpoints import Move
+from puma_sim_core.control.velocity_loop import VelocityLoop, VelocityLoopSettings
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.plant.plant import Plant
-from puma_sim_core.simulation.simulator import SERVO_PERIOD, Simulator
-from puma_sim_core.thesis.registry import Context, experiment
-from puma_sim_core.thesis.result import Curve, Figure, Result, Row
-from puma_sim_core.thesis.tuning import case
+from puma_sim_core.recording.recording import Recording
+from puma_sim_core.servo.pid import Pid
+from puma_sim_core.simulation.feedback import Controller
+from puma_sim_core.simulation.simulator import SERVO_PERIOD
+from puma_sim_core.thesis.motions import LIMIT, case, run_moves, tracking
+from puma_sim_core.thesis.registry import Context
+from puma_sim_core.thesis.result import Curve, Figure, Numbers, Result, Row
+from puma_sim_core.thesis.wording import Words
 from puma_sim_core.tuning.ziegler_nichols import settings
 
-LIMIT = 40.0
+words = Words(__name__)
 #: where all runs start: between upright and horizontal, the elbow bent
 START = (0.0, -1.2, 1.0)
-STEP_AT, STEP, STEP_TIME = 0.28, 0.1, 2.0
+STEP_AT, STEP = 0.28, 0.1
 #: the move of all joints at once [rad] and its duration [s]: its fastest moment takes some
 #: three quarters of what the motors can do
-BY, MOVE_AT, MOVE, MOVE_TIME = (1.0, -0.8, 1.0), 0.28, 1.5, 3.0
+BY, MOVE_AT, MOVE = (1.0, -0.8, 1.0), 0.28, 1.5
 #: arms that differ from the model by 10 %, each parameter up or down by the toss of a coin
 WRONG = 6
+#: what the controllers have to follow: moves, and how long the runs last [s]
+TRIALS = {
+    "step": (Move(STEP_AT, 0.0, (STEP,) * 3, "step"), 2.0),
+    "ramp": (Move(MOVE_AT, MOVE, BY, "ramp"), 3.0),
+    "smooth": (Move(MOVE_AT, MOVE, BY, "quintic"), 3.0),
+}
+#: joint 1 moves and the others shall not
+ALONE = (Move(MOVE_AT, 1.0, (1.0, 0.0, 0.0), "quintic"), 3.0)
 NAMES = ("PID by table 7.2", "PID, detuned", "scheduled PID", "velocity loop", "computed torque")
 CASES = ("model right", "parameters 10 % wrong", "unknown friction")
+#: what differs of a motor
+MOTOR = ("inertia", "resistance", "torque_constant", "back_emf")
 #: found by trial on the model, so that an arm that differs from it is still damped
 VELOCITY_LOOP = {
     "position_gain": (25.0, 25.0, 25.0),
@@ -46,243 +59,116 @@ VELOCITY_LOOP = {
 }
 
 
-def controllers(plant: Plant) -> dict:
+def controllers(plant: Plant) -> dict[str, Controller]:
     """The five, designed on the model. (The detuned PID has the gains of sim_node.)"""
     bounds = {name: load_settings("computed_torque")[name] for name in ("greatest_velocity", "greatest_acceleration")}
     tuned = [settings(case(plot).ultimate(plant)) for plot in ("7.18", "7.19", "7.21")]
-    made = (
-        Pid(tuned, SERVO_PERIOD, limit=LIMIT),
-        make_controller("pid", plant),
-        make_controller("scheduled", plant),
-        VelocityLoop(SERVO_PERIOD, **VELOCITY_LOOP, **bounds, limit=LIMIT),
-        make_controller("computed_torque", plant),
-    )
-    return dict(zip(NAMES, made))
+    pid = Pid(tuned, SERVO_PERIOD, limit=LIMIT)
+    loop = VelocityLoop(VelocityLoopSettings(**VELOCITY_LOOP, **bounds), SERVO_PERIOD, limit=LIMIT)
+    detuned, scheduled, torque = (make_controller(name, plant) for name in ("pid", "scheduled", "computed_torque"))
+    return dict(zip(NAMES, (pid, detuned, scheduled, loop, torque)))
 
 
 def arms(plant: Plant, rng: np.random.Generator) -> dict[str, list[Plant]]:
     """The arms of each case."""
     signs = [np.ones(12), -np.ones(12), *rng.choice((-1.0, 1.0), (WRONG - 2, 12))]
-    friction = Plant.of("corke_armstrong_1994").arm.suggested_effects
-    return dict(
-        zip(
-            CASES,
-            (
-                [plant],
-                [differing(plant, 1.0 + 0.1 * s) for s in signs],
-                [replace(plant, effects=tuple(map(parse_effect, friction)))],
-            ),
-        )
-    )
+    friction = tuple(map(parse_effect, Plant.of("corke_armstrong_1994").arm.suggested_effects))
+    wrong = [differing(plant, 1.0 + 0.1 * s) for s in signs]
+    return dict(zip(CASES, ([plant], wrong, [replace(plant, effects=friction)])))
 
 
-def differing(plant: Plant, factors) -> Plant:
+def differing(plant: Plant, factors: np.ndarray) -> Plant:
     """The plant with factors (12,) on the link masses, and on the inertias, resistances, torque
     constants and back-EMFs of the motors; a torque constant and its back-EMF differ alike, since
     physics makes them one."""
-    mass, ia, resistance, kt = np.reshape(factors, (4, 3)).tolist()
-    links = tuple(replace(link, mass=link.mass * f) for link, f in zip(plant.arm.links, mass))
-    motors = tuple(
-        replace(
-            m,
-            inertia=m.inertia * a,
-            resistance=m.resistance * r,
-            torque_constant=m.torque_constant * k,
-            back_emf=m.back_emf * k,
-        )
-        for m, a, r, k in zip(plant.arm.motors, ia, resistance, kt)
-    )
-    return replace(plant, arm=replace(plant.arm, links=links, motors=motors))
+    mass, inertia, resistance, constant = np.reshape(factors, (4, 3)).tolist()
+    links = [replace(link, mass=link.mass * f) for link, f in zip(plant.arm.links, mass)]
+    motors = [
+        replace(motor, **{name: f * getattr(motor, name) for name, f in zip(MOTOR, each)})
+        for motor, *each in zip(plant.arm.motors, inertia, resistance, constant, constant)
+    ]
+    return replace(plant, arm=replace(plant.arm, links=tuple(links), motors=tuple(motors)))
 
 
-@dataclass(frozen=True)
-class Trial:
-    """A path that a controller has to follow."""
-
-    moves: tuple[Move, ...]
-    duration: float
-
-    def run(self, plant: Plant, controller):
-        """(recording, path (n, 3) [rad] at its times)."""
-        _, setpoint = joint_setpoints(START, self.moves, self.duration)
-        simulator = Simulator(plant)
-        simulator.reset(START)
-        run = simulator.run_controller(controller, setpoint[:-1], voltage_limit=LIMIT)
-        return run, joint_path(START, self.moves, run.time)
+def follow(plant: Plant, controller: Controller, move: Move, duration: float) -> tuple[Recording, np.ndarray]:
+    """(recording, path (n, 3) [rad] at its times) of a move."""
+    return run_moves(plant, controller, START, (move,), duration, None)
 
 
-STEPS = Trial((Move(STEP_AT, 0.0, (STEP,) * 3, "step"),), STEP_TIME)
-RAMPS = Trial((Move(MOVE_AT, MOVE, BY, "ramp"),), MOVE_TIME)
-SMOOTH = Trial((Move(MOVE_AT, MOVE, BY, "quintic"),), MOVE_TIME)
-#: joint 1 moves and the others shall not
-ALONE = Trial((Move(MOVE_AT, 1.0, (1.0, 0.0, 0.0), "quintic"),), MOVE_TIME)
+def step_numbers(run: Recording, path: np.ndarray) -> dict[str, np.ndarray]:
+    """Overshoot [%], rise and settling time [s] of each joint."""
+    found = [step_quality(run.time, q, start, start + STEP, at=STEP_AT) for q, start in zip(run.position.T, START)]
+    overshoot, rise, settling = np.transpose(found)
+    return {"overshoot_percent": 100.0 * overshoot, "rise_s": rise, "settling_s": settling}
 
 
-def step_numbers(plants, controller) -> dict:
-    """Overshoot [%], rise and settling time [s] of each joint: the worst over the arms; None for
-    a time that does not end."""
-    found = []
-    for plant in plants:
-        run, _ = STEPS.run(plant, controller)
-        found.append(
-            [step_quality(run.time, run.position[:, j], START[j], START[j] + STEP, at=STEP_AT) for j in range(3)]
-        )
-    worst = np.array(found).max(axis=0)
-
-    def plain(values):
-        return [None if v == inf else float(v) for v in values]
-
-    return {
-        "overshoot_percent": plain(100.0 * worst[:, 0]),
-        "rise_s": plain(worst[:, 1]),
-        "settling_s": plain(worst[:, 2]),
-    }
+def move_numbers(run: Recording, path: np.ndarray) -> dict[str, np.ndarray]:
+    """Errors [mrad], volts and share of saturation [%] of each joint, and by how much it runs past
+    the end of its path [mrad]."""
+    beyond = ((run.position - path[-1]) * np.sign(path[-1] - path[0])).max(axis=0)
+    more = {"saturated_percent": 100.0 * effort(run, LIMIT).saturated, "overshoot_mrad": 1e3 * np.maximum(beyond, 0.0)}
+    return {**tracking(run, path), **more}
 
 
-def move_numbers(plants, controller, trial: Trial) -> dict:
-    """Errors [mrad], volts and share of saturation [%] of each joint: the worst over the arms."""
-    found = []
-    for plant in plants:
-        run, path = trial.run(plant, controller)
-        error, used = tracking_error(run, path), effort(run, LIMIT)
-        found.append([1e3 * error.rms, 1e3 * error.worst, used.rms, 100.0 * used.saturated, 1e3 * beyond(run, path)])
-    names = ("rms_mrad", "worst_mrad", "volts_rms", "saturated_percent", "overshoot_mrad")
-    return dict(zip(names, np.array(found).max(axis=0).tolist()))
+def worst_numbers(plants: Sequence[Plant], controller: Controller, kind: str) -> dict[str, list[float | None]]:
+    """The worst of each number over the arms; None for a time that does not end."""
+    measure = step_numbers if kind == "step" else move_numbers
+    found = [measure(*follow(plant, controller, *TRIALS[kind])) for plant in plants]
+    worst = {name: np.max([each[name] for each in found], axis=0).tolist() for name in found[0]}
+    return {name: [None if v == inf else v for v in values] for name, values in worst.items()}
 
 
-def beyond(run, path) -> np.ndarray:
-    """(3,) [rad] by how much the joints run past the end of their path."""
-    moved = np.sign(path[-1] - path[0])
-    return np.maximum(((run.position - path[-1]) * moved).max(axis=0), 0.0)
-
-
-def three(values, digits: int = 3) -> str:
+def three(values: Sequence[float | None], digits: int = 3) -> str:
     """Numbers of the three joints for a person."""
     return " / ".join("never" if v is None else f"{v:.{digits}g}" for v in values)
 
 
-def case_rows(name: str, of: str, found: dict) -> list[Row]:
-    """The rows of a controller on the arms of a case; joints 1 / 2 / 3."""
-    step = found["step"]
-    rows = [
-        Row(
-            f"{of}, {name}: step of {STEP:g} rad",
-            "%; s; s",
-            None,
-            f"overshoot {three(step['overshoot_percent'])}; rise {three(step['rise_s'])}; "
-            f"settling {three(step['settling_s'])}",
-        )
-    ]
-    for kind, words in (("ramp", "abrupt path"), ("smooth", "smooth path")):
-        move = found[kind]
-        rows.append(
-            Row(
-                f"{of}, {name}: {words}",
-                "mrad; mrad; V; %",
-                None,
-                f"rms {three(move['rms_mrad'])}; worst {three(move['worst_mrad'])}; "
-                f"{three(move['volts_rms'])} V rms; saturated {three(move['saturated_percent'], 2)}",
-            )
-        )
-    return rows
-
-
-def figures(plant: Plant, made: dict, all_arms: dict):
+def figures(plant: Plant, made: dict[str, Controller], all_arms: dict[str, list[Plant]]) -> Iterator[Figure]:
     """Step of joint 2, and joint 2's errors on the smooth path in the three cases."""
-    curves = []
+    curves: list[Curve] = []
     for name, controller in made.items():
-        run, path = STEPS.run(plant, controller)
-        if not curves:
-            curves.append(Curve("setpoint", run.time, path[:, 1] - START[1], "steps"))
+        run, path = follow(plant, controller, *TRIALS["step"])
+        curves = curves or [Curve("setpoint", run.time, path[:, 1] - START[1], "steps")]
         curves.append(Curve(name, run.time, run.position[:, 1] - START[1]))
-    yield Figure(
-        "8-step",
-        f"All joints step by {STEP:g} rad at once: joint 2, model right",
-        "time [s]",
-        "joint 2, from its start [rad]",
-        tuple(curves),
-    )
-    for of, plants in all_arms.items():
-        curves = []
-        for name, controller in made.items():
-            run, path = SMOOTH.run(plants[0], controller)
-            curves.append(Curve(name, run.time, 1e3 * (run.position - path)[:, 1]))
-        yield Figure(
-            f"8-error-{CASES.index(of) + 1}",
-            f"Smooth path of all joints: {of}",
-            "time [s]",
-            "error of joint 2 [mrad]",
-            tuple(curves),
-            "All parameters 10 % greater." if len(plants) > 1 else "",
-        )
+    yield words.figure("8-step", curves, step=STEP)
+    for n, (of, plants) in enumerate(all_arms.items(), 1):
+        runs = {name: follow(plants[0], controller, *TRIALS["smooth"]) for name, controller in made.items()}
+        curves = [Curve(name, run.time, 1e3 * (run.position - path)[:, 1]) for name, (run, path) in runs.items()]
+        yield words.figure("error", curves, case=len(plants) > 1, n=n, of=of)
 
 
-@experiment("8", "Smooth setpoints, velocity loops, decoupling", chapter="8")
+@words.experiment("8")
 def run(context: Context) -> Result:
     """The controllers beside each other."""
-    plant = Plant.of()
+    plant, rows, numbers = Plant.of(), list[Row](), Numbers()
     made, all_arms = controllers(plant), arms(plant, context.rng("8 arms"))
-    rows, numbers = [], {}
     for index, (of, plants) in enumerate(all_arms.items()):
         for name, controller in made.items():
-            found = {
-                "step": step_numbers(plants, controller),
-                "ramp": move_numbers(plants, controller, RAMPS),
-                "smooth": move_numbers(plants, controller, SMOOTH),
-            }
-            numbers |= {
-                f"{of}, {name}: {kind} {key}": value for kind, values in found.items() for key, value in values.items()
-            }
-            rows += case_rows(name, of, found)
+            shown = {}
+            for kind in TRIALS:
+                worst = worst_numbers(plants, controller, kind)
+                numbers |= {f"{of}, {name}: {kind} {key}": each for key, each in worst.items()}
+                shown[kind] = {key: three(each, 2 if key == "saturated_percent" else 3) for key, each in worst.items()}
+            rows.append(words.row("step", of=of, name=name, found=shown["step"], step=STEP))
+            rows += [words.row("path", case=kind, of=of, name=name, found=shown[kind]) for kind in ("ramp", "smooth")]
         context.progress((index + 1) / 4)
     rows += conclusions(plant, made, numbers)
-    drawn = tuple(figures(plant, made, all_arms))
+    drawn = list(figures(plant, made, all_arms))
     context.progress(1.0)
-    right, wrong, rough = (max(numbers[f"{of}, computed torque: smooth worst_mrad"]) for of in CASES)
-    pid = [max(numbers[f"{of}, PID, detuned: smooth worst_mrad"]) for of in CASES]
-    return Result(
-        f"On a smooth path computed torque is {pid[0] / right:.0f} times as exact as independent "
-        f"PID (sim_node's gains) with the model right (worst error {right:.2g} against "
-        f"{pid[0]:.2g} mrad), "
-        f"{pid[1] / wrong:.0f} times with parameters 10 % wrong ({wrong:.2g} against {pid[1]:.2g}) "
-        f"and {pid[2] / rough:.0f} times with friction that it does not know ({rough:.2g} against "
-        f"{pid[2]:.2g}). Joints: 1 / 2 / 3, all moving at once; worst case of the {WRONG} arms "
-        "with wrong parameters. Errors are those from the continuous path, sampled at the servo's "
-        "rate; controllers get it as setpoints each 28 ms. Part of what computed torque and the "
-        "velocity loop gain comes from that: they make velocities of the setpoints, where PID sees "
-        "steps. A step they take as a command to go there as fast as their bounds allow, and rise "
-        "more slowly than PID, which saturates and overshoots.",
-        tuple(rows),
-        drawn,
-        numbers,
-    )
+    worst = {name: [max(numbers[f"{of}, {name}: smooth worst_mrad"]) for of in CASES] for name in NAMES}
+    torque, pid = worst["computed torque"], worst["PID, detuned"]
+    ratio = [other / own for other, own in zip(pid, torque)]
+    return words.result("8", rows, drawn, numbers, torque=torque, pid=pid, ratio=ratio, wrong=WRONG)
 
 
-def conclusions(plant: Plant, made: dict, numbers: dict) -> list[Row]:
+def conclusions(plant: Plant, made: dict[str, Controller], numbers: Numbers) -> list[Row]:
     """What the thesis concludes, and what comes of it here."""
     rows = []
-    of = CASES[0]
     for name in NAMES:
-        abrupt, smooth = (numbers[f"{of}, {name}: {kind} overshoot_mrad"] for kind in ("ramp", "smooth"))
-        rows.append(
-            Row(
-                f"(2) overshoot at the end of the path, {name}: abrupt, smooth",
-                "mrad",
-                "avoided by smooth velocity changes",
-                f"{three(abrupt)}, then {three(smooth)}",
-            )
-        )
+        abrupt, smooth = (three(numbers[f"{CASES[0]}, {name}: {kind} overshoot_mrad"]) for kind in ("ramp", "smooth"))
+        rows.append(words.row("conclusion 2", name=name, abrupt=abrupt, smooth=smooth))
     for name, controller in made.items():
-        run, path = ALONE.run(plant, controller)
-        moved = 1e3 * np.abs(run.position - path).max(axis=0)
-        numbers[f"coupling, {name}"] = moved.tolist()
-        rows.append(
-            Row(
-                f"(5) joints 2 / 3 disturbed by a move of joint 1, {name}",
-                "mrad",
-                "decoupling may be required",
-                three(moved[1:]),
-                "A quintic of 1 rad in 1 s.",
-            )
-        )
+        run, path = follow(plant, controller, *ALONE)
+        moved = numbers[f"coupling, {name}"] = (1e3 * np.abs(run.position - path).max(axis=0)).tolist()
+        rows.append(words.row("conclusion 5", three(moved[1:]), name=name))
     return rows

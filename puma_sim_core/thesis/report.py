@@ -1,68 +1,51 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""The page: every experiment with its rows, its figures and the printed numbers beside ours.
+"""The page of the results, with the printed numbers beside ours, and the JSON: the same results, the same bytes.
 
-One HTML file that needs no network: drawings and style stand inside it, and there is no script.
+The page's template is `templates/thesis.html`; figures of the thesis become figures of the pages here.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
-from collections.abc import Callable, Mapping
-from html import escape
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
-from puma_sim_core import __version__
-from puma_sim_core.thesis.drawing import legend_svg, styles, svg
-from puma_sim_core.thesis.registry import Experiment
-from puma_sim_core.thesis.result import Figure, Heatmap, Result, Row
-from puma_sim_core.thesis.style import CSS
+import numpy as np
 
+from puma_sim_core import __version__
+from puma_sim_core import json_text as layout
+from puma_sim_core.pages import figure as pages
+from puma_sim_core.pages.page import environment, render
+from puma_sim_core.pages.text import number_text
+from puma_sim_core.thesis.registry import Experiment
+from puma_sim_core.thesis.result import Curve, Figure, Heatmap, Result
+
+#: raised when the layout of the JSON changes
+FORMAT = 1
+#: points that the JSON keeps of a curve, about
+POINTS = 480
 #: lists longer than this stand in the JSON alone
 _LIST = 6
-_TITLE = "The thesis, reproduced"
-_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
-_HEAD = """<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy" content="{policy}">
-<link rel="icon" href="data:,">
-<title>{title}</title>
-<style>{css}</style>
-</head>
-<body>
-"""
+_COLOURS = ("blue", "orange", "green", "purple", "black", "yellow", "sky")
+#: a second round of the colours is told from the first by its dashes
+_DASHES: tuple[tuple[float, ...], ...] = ((), (1.0, 1.0), (4.0, 1.0, 1.0, 1.0))
+_MARKERS = "osD^v"
+Found = tuple[Experiment, Result]
 
 
-def page(
-    results: Mapping[str, tuple[Experiment, Result]], seed: int, progress: Callable[[float], None] = lambda share: None
-) -> str:
-    """The page of these experiments, in their order.
+def page(results: Mapping[str, Found], seed: int, progress: Callable[[float], None] = lambda share: None) -> str:
+    """The page of experiments by number; progress is called with the share of them that are drawn."""
+    found = list(results.values())
 
-    Parameters
-    ----------
-    results : the experiments by number, each with what it found.
-    seed : the seed that they were run with, named on the page.
-    progress : called with the share of the experiments that are drawn.
+    def counted() -> Iterator[Found]:
+        for index, each in enumerate(found):
+            yield each
+            progress((index + 1) / len(found))
 
-    Raises
-    ------
-    ParameterError : matplotlib is missing.
-    """
-    parts = [_HEAD.format(title=_TITLE, css=CSS, policy=_POLICY), _opening(), _contents(results), "<main>\n"]
-    for index, (found, result) in enumerate(results.values()):
-        parts.append(_section(found, result))
-        progress((index + 1) / len(results))
-    parts.append(
-        "</main>\n<footer><p>Made by puma-sim "
-        f"{escape(__version__)}, seed {seed}. "
-        "The numbers and the curves stand in the JSON file beside this page.</p>"
-        "</footer>\n</body>\n</html>\n"
-    )
-    return "".join(parts)
+    return render(_PAGES, "thesis.html", contents=found, sections=counted(), seed=seed)
 
 
 def first_sentence(text: str) -> str:
@@ -70,151 +53,122 @@ def first_sentence(text: str) -> str:
     return re.split(r"(?<=[.!?])\s+(?=[A-Z])", " ".join(text.split()), maxsplit=1)[0]
 
 
-def number_text(value: Any) -> str:
-    """A number with five digits and a proper minus; words as they are; "" for None."""
-    if value is None:
-        return ""
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if not _is_number(value):
-        return str(value)
-    text = str(value) if isinstance(value, int) else f"{value:.5g}"
-    mantissa, _, exponent = text.partition("e")
-    text = mantissa.replace("-", "\N{MINUS SIGN}")
-    if exponent:
-        text += f"\N{MULTIPLICATION SIGN}10^{int(exponent)}"
-    return text
-
-
-def _opening() -> str:
-    return (
-        f'<header id="top"><h1>{_TITLE}</h1>\n'
-        "<p>Each experiment of chapters 2 to 8 of the thesis on the control of the PUMA 560, run "
-        "on the model with its misprints corrected. Where the thesis prints a number or a plot, "
-        "it stands beside ours; where the two differ, a sentence says why, as far as is known. "
-        "Nothing was fitted to the print, and nothing that does not reproduce was left out.</p>\n"
-        '<p>A row is marked <span class="mark agrees" style="display:inline">agrees</span> when '
-        "the numbers are within 1 % of each other (in section 4.5: within the digits printed), and "
-        '<span class="mark differs" style="display:inline">differs</span> when they are not. An '
-        "empty cell means that the thesis prints no number there.</p></header>\n"
-    )
-
-
-def _contents(results: Mapping[str, tuple[Experiment, Result]]) -> str:
-    lines = [
-        f'<li><span class="number">{escape(_number(found))}</span><div>'
-        f'<a href="#{_anchor(found)}">{escape(found.title)}</a>'
-        f"<p>{_rich(first_sentence(result.summary))}</p></div></li>\n"
-        for found, result in results.values()
-    ]
-    return f'<nav aria-label="Contents"><h2>Contents</h2>\n<ol>\n{"".join(lines)}</ol></nav>\n'
-
-
-def _section(found: Experiment, result: Result) -> str:
-    anchor = _anchor(found)
-    number = _number(found)
-    shown = f'<span class="number">{escape(number)}</span> ' if number else ""
-    parts = [f'<section id="{anchor}">\n<h2>{shown}{escape(found.title)}</h2>\n']
-    parts += [f"<p>{_rich(paragraph)}</p>\n" for paragraph in re.split(r"\n\s*\n", result.summary.strip())]
-    errata = found.number == "errata"
-    parts.append(_table(result.rows, ("Place", "Printed", "Correct", "Effect on the numbers") if errata else None))
-    if result.page_rows:
-        parts.append("<h3>Measured on this run, and so not in the JSON</h3>\n")
-        parts.append(_table(result.page_rows))
-    figures = (*result.figures, *result.page_figures)
-    if figures:
-        drawn = [_figure(figure, f"{anchor}-{index}") for index, figure in enumerate(figures)]
-        parts.append(f'<div class="figures">\n{"".join(drawn)}</div>\n')
-    parts.append(_numbers(result.numbers))
-    parts.append('<p class="top"><a href="#top">Contents</a></p>\n</section>\n')
-    return "".join(parts)
-
-
-def _table(rows: tuple[Row, ...], heads: tuple[str, ...] | None = None) -> str:
-    if not rows:
-        return ""
-    names = heads or ("Quantity", "Thesis", "Ours", "Where and why they differ")
-    lines = []
-    for row in rows:
-        unit = f"\N{NO-BREAK SPACE}[{_rich(row.unit)}]" if row.unit not in ("", "1") else ""
-        mark, off = "", row.differs
-        if off is not None and heads is None:
-            word = "differs" if off else "agrees"
-            mark = f' <span class="mark {word}">{word}</span>'
-        block = " block" if "\n" in f"{row.printed}{row.ours}" else ""
-        cells = [
-            (names[1], f"value printed{block}", _rich(number_text(row.printed))),
-            (names[2], f"value ours{block}", _rich(number_text(row.ours)) + mark),
-            ("", "note", _rich(row.note)),
-        ]
-        lines.append(
-            f'<tr><th scope="row">{_rich(row.quantity)}{unit}</th>'
-            + "".join(
-                f'<td class="{kind}"{f" data-name={chr(34)}{name}{chr(34)}" if name else ""}>{text}</td>'
-                for name, kind, text in cells
-            )
-            + "</tr>\n"
-        )
-    head = "".join(f'<th scope="col">{name}</th>' for name in names)
-    kind = ' class="words"' if heads else ""
-    return f"<table{kind}>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{''.join(lines)}</tbody>\n</table>\n"
-
-
-def _figure(figure: Figure | Heatmap, prefix: str) -> str:
+def drawn(figure: Figure | Heatmap) -> pages.Figure:
+    """The figure as the pages draw it."""
     # the thesis's plots are all in chapter 7; other keys belong to drawings of our own
     name = f"Plot {figure.key}" if re.fullmatch(r"7\.\d+[a-z]?", figure.key) else ""
     if figure.key.startswith("figure "):
         name = figure.key.capitalize()
-    title = f"{name}. {figure.title}" if name else figure.title
-    legend = ""
-    if isinstance(figure, Figure) and (len(figure.curves) > 1 or figure.curves[0].label):
-        items = "".join(
-            f"<li>{legend_svg(style)}<span>{_rich(curve.label)}</span></li>"
-            for curve, style in zip(figure.curves, styles(figure))
-        )
-        legend = f'<ul class="legend">{items}</ul>\n'
-    note = f"<p>{_rich(figure.note)}</p>\n" if figure.note else ""
-    return f"<figure>\n<figcaption>{_rich(title)}</figcaption>\n{svg(figure, prefix)}\n{legend}{note}</figure>\n"
+    words = (f"{name}. {figure.title}" if name else figure.title, figure.x_label, figure.y_label)
+    if isinstance(figure, Heatmap):
+        layers = [pages.Layer("map", figure.x, figure.y, figure.values, label=figure.value_label)]
+        return pages.Figure(*words, tuple(layers), note=figure.note)
+    layers = [_layer(curve, index) for curve, index in zip(figure.curves, _partners(figure.curves))]
+    how = {name: getattr(figure, name) for name in ("log_x", "log_y", "equal", "note")}
+    return pages.Figure(*words, tuple(layers), **how)
 
 
-def _numbers(numbers: Mapping[str, Any]) -> str:
-    if not numbers:
-        return ""
-    items = "".join(
-        f"<div><dt>{escape(name)}</dt><dd>{_rich(_short(value))}</dd></div>\n" for name, value in numbers.items()
-    )
-    return (
-        f'<details><summary>Further numbers ({len(numbers)})</summary>\n<dl class="numbers">\n{items}</dl></details>\n'
+def _partners(curves: Sequence[Curve]) -> list[int]:
+    """Index of the colour of each curve: as many dashed curves (or points) as full ones share their colours."""
+    index = list(range(len(curves)))
+    full = [i for i in index if curves[i].style in ("line", "steps")]
+    for style in ("dashed", "points"):
+        others = [i for i, curve in enumerate(curves) if curve.style == style]
+        if len(others) == len(full) > 1:
+            for rank, pair in enumerate(zip(full, others)):
+                for i in pair:
+                    index[i] = rank
+    return index
+
+
+def _layer(curve: Curve, index: int) -> pages.Layer:
+    kind = {"dashed": "line", "points": "marks"}.get(curve.style, curve.style)
+    marked = kind == "marks" or curve.x.size == 1
+    return pages.Layer(
+        kind,
+        curve.x,
+        curve.y,
+        label=curve.label,
+        colour=_COLOURS[index % len(_COLOURS)],
+        dashes=(4.0, 2.0) if curve.style == "dashed" else _DASHES[(index // len(_COLOURS)) % len(_DASHES)],
+        marker=_MARKERS[index % len(_MARKERS)] if marked else "",
+        # a measured curve; large marks would run into a band
+        size=1.8 if kind == "marks" and curve.x.size > 60 else 4.0,
     )
 
 
 def _short(value: Any) -> str:
+    """A further number as the page shows it; long lists are named."""
     if isinstance(value, dict):
         return f"{len(value)} entries, in the JSON"
     if isinstance(value, list):
         if len(value) > _LIST or any(isinstance(item, (list, dict)) for item in value):
             return f"{len(value)} values, in the JSON"
-        return ", ".join("none" if item is None else number_text(item) for item in value)
+        return ", ".join(map(_short, value))
     return "none" if value is None else number_text(value)
 
 
-def _rich(text: str) -> str:
-    """Escaped, with powers raised: kg.m^2, 10^-5."""
-    raised = re.sub(
-        r"\^(\(?)([-\N{MINUS SIGN}+]?[0-9]+)(\)?)",
-        lambda m: f"<sup>{m[2]}</sup>" if bool(m[1]) == bool(m[3]) else m[0],
-        escape(text),
-    )
-    return re.sub(r"<sup>-", "<sup>\N{MINUS SIGN}", raised)
+_PAGES = environment(
+    "puma_sim_core.thesis",
+    anchor=lambda found: "e" + re.sub(r"[^0-9A-Za-z]+", "-", found.number),
+    number=lambda found: found.number if found.number[:1].isdigit() else "",
+    drawn=drawn,
+    first_sentence=first_sentence,
+    number_text=number_text,
+    paragraphs=lambda text: re.split(r"\n\s*\n", text.strip()),
+    short=_short,
+)
 
 
-def _number(found: Experiment) -> str:
-    return found.number if found.number[:1].isdigit() else ""
+def json_text(results: Mapping[str, Found], seed: int) -> str:
+    """The results of experiments by number; rows and figures in order, all keys sorted.
+
+    Numbers stand with as many digits as tell them from their neighbours. A gap of a curve is
+    null. Rows and figures that change from run to run are left out.
+    """
+    content = [
+        {
+            **{name: getattr(found, name) for name in ("number", "chapter", "title")},
+            "summary": result.summary,
+            "rows": [{**vars(row), "agrees": None if row.differs is None else not row.differs} for row in result.rows],
+            "figures": [_figure(figure) for figure in result.figures],
+            "numbers": result.numbers,
+        }
+        for found, result in results.values()
+    ]
+    head = {"format": FORMAT, "version": __version__, "seed": seed}
+    return layout.json_text({**head, "experiments": content}, sort_keys=True)
 
 
-def _anchor(found: Experiment) -> str:
-    return "e" + re.sub(r"[^0-9A-Za-z]+", "-", found.number)
+def thin(curve: Curve) -> tuple[np.ndarray, np.ndarray]:
+    """(x, y) of at most about `POINTS` points of a curve: first, least and greatest of each run of neighbours."""
+    x, y = curve.x, curve.y
+    if x.size <= POINTS:
+        return x, y
+    edges = np.linspace(0, x.size, POINTS // 3 + 1).astype(int)
+    keep = {0, x.size - 1}
+    for first, last in itertools.pairwise(edges):
+        part = y[first:last]
+        keep.add(first)
+        if not np.all(np.isnan(part)):
+            keep.update((first + np.nanargmin(part), first + np.nanargmax(part)))
+    # a gap that fell between kept points would be drawn over
+    keep.update(np.flatnonzero(np.diff(np.isnan(y).astype(int)) == 1) + 1)
+    index = sorted(keep)
+    return x[index], y[index]
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+def _figure(figure: Figure | Heatmap) -> dict[str, Any]:
+    if isinstance(figure, Heatmap):
+        return {**vars(figure), **{name: _list(getattr(figure, name)) for name in ("x", "y", "values")}}
+    curves = [
+        {"label": curve.label, "style": curve.style, **dict(zip("xy", map(_list, thin(curve))))}
+        for curve in figure.curves
+    ]
+    return {name: value for name, value in vars(figure).items() if name != "equal"} | {"curves": curves}
+
+
+def _list(values: np.ndarray) -> list[Any]:
+    if values.ndim > 1:
+        return [_list(row) for row in values]
+    return [value if math.isfinite(value) else None for value in values.tolist()]

@@ -1,33 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""What an experiment gives back: rows beside the printed numbers, figures, numbers."""
+"""What an experiment gives back: rows beside the printed numbers, figures, numbers.
+
+All raise ValueError for what cannot be drawn or written: numbers that are not finite, shapes that
+do not fit, an unknown style.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
 STYLES = ("line", "dashed", "points", "steps")
 #: a row agrees with the print when the two differ by no more than this share
 AGREEMENT = 0.01
+#: further numbers of an experiment by name
+Numbers = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class Row:
-    """One quantity: what the thesis prints and what this project finds.
+    """One quantity: what the thesis prints (None: nothing) and what this project finds, as numbers or words.
 
-    Parameters
-    ----------
-    quantity : what it is, in words or with the thesis's symbol.
-    unit : its unit, "" for none.
-    printed : the thesis's number or words; None where it prints nothing.
-    ours : this project's number or words.
-    note : plain sentence where the two differ, and why.
-    agrees : whether the two agree; None leaves it to :attr:`differs`.
+    note : where the two differ, and why; agrees : whether the two agree, None leaves it to :attr:`differs`.
     """
 
     quantity: str
@@ -38,34 +37,21 @@ class Row:
     agrees: bool | None = None
 
     def __post_init__(self) -> None:
-        for name in ("printed", "ours"):
-            value = _plain(getattr(self, name), f"row {self.quantity!r}, {name}")
-            object.__setattr__(self, name, value)
+        _set(self, **{n: _plain(getattr(self, n), f"row {self.quantity!r}, {n}") for n in ("printed", "ours")})
 
     @property
     def differs(self) -> bool | None:
-        """Whether ours is off the printed number by more than a hundredth.
-
-        None where the two are not both numbers, so that only a reader can tell.
-        """
+        """Whether ours is off the printed number by more than a hundredth; None unless both are numbers."""
         if self.agrees is not None:
             return not self.agrees
         if not _is_number(self.printed) or not _is_number(self.ours):
             return None
-        greatest = max(abs(self.printed), abs(self.ours))
-        return abs(self.printed - self.ours) > AGREEMENT * greatest
+        return abs(self.printed - self.ours) > AGREEMENT * max(abs(self.printed), abs(self.ours))
 
 
 @dataclass(frozen=True)
 class Curve:
-    """One line of a figure. x, y: arrays of one length; NaN makes a gap.
-
-    style : "line", "dashed", "points" or "steps" (the value holds until the next x).
-
-    Raises
-    ------
-    ValueError : unequal lengths, no points, or an unknown style.
-    """
+    """One line of a figure of one of the STYLES ("steps": y holds until the next x); NaN makes a gap."""
 
     label: str
     x: np.ndarray
@@ -74,48 +60,40 @@ class Curve:
 
     def __post_init__(self) -> None:
         x, y = (np.atleast_1d(np.asarray(v, dtype=float)) for v in (self.x, self.y))
-        if x.ndim != 1 or x.shape != y.shape or x.size == 0:
+        if x.ndim != 1 or x.shape != y.shape or x.size == 0 or self.style not in STYLES:
             raise ValueError(
-                f"curve {self.label!r}: x {x.shape} and y {y.shape}; expected two equally long, non-empty vectors"
+                f"curve {self.label!r}: x {x.shape}, y {y.shape}, style {self.style!r}; "
+                f"expected two equally long, non-empty vectors and one of {STYLES}"
             )
-        if self.style not in STYLES:
-            raise ValueError(f"curve {self.label!r}: style {self.style!r}; expected {STYLES}")
-        object.__setattr__(self, "x", x)
-        object.__setattr__(self, "y", y)
+        _set(self, x=x, y=y)
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A plot of curves.
+    """A plot of curves, one at least.
 
-    ``key`` is the thesis's plot number ("7.17"), its figure ("figure 2.7"), or a name of our own.
-    ``equal``: a metre across is as long as a metre up.
+    key : plot ("7.17") or figure ("figure 2.7") of the thesis, or our own; equal : a metre across is one up.
     """
 
     key: str
     title: str
     x_label: str
     y_label: str
-    curves: tuple[Curve, ...]
+    curves: Sequence[Curve]
     note: str = ""
     log_x: bool = False
     log_y: bool = False
     equal: bool = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "curves", tuple(self.curves))
+        _set(self, curves=tuple(self.curves))
         if not self.curves:
             raise ValueError(f"figure {self.key}: no curves; expected at least one")
 
 
 @dataclass(frozen=True)
 class Heatmap:
-    """A map of one value over two axes: x (nx,), y (ny,), values (ny, nx); NaN is left white.
-
-    Raises
-    ------
-    ValueError : the shapes do not fit.
-    """
+    """A map of one value over two axes: x (nx,), y (ny,), values (ny, nx); NaN is left white."""
 
     key: str
     title: str
@@ -128,42 +106,37 @@ class Heatmap:
     note: str = ""
 
     def __post_init__(self) -> None:
-        for name in ("x", "y", "values"):
-            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=float))
-        if self.x.ndim != 1 or self.y.ndim != 1 or (self.values.shape != (self.y.size, self.x.size)):
+        x, y, values = (np.asarray(v, dtype=float) for v in (self.x, self.y, self.values))
+        if x.ndim != 1 or y.ndim != 1 or values.shape != (y.size, x.size):
             raise ValueError(
-                f"heatmap {self.key}: x {self.x.shape}, y {self.y.shape}, values "
-                f"{self.values.shape}; expected (nx,), (ny,), (ny, nx)"
+                f"heatmap {self.key}: x {x.shape}, y {y.shape}, values {values.shape}; expected (nx,), (ny,), (ny, nx)"
             )
+        _set(self, x=x, y=y, values=values)
 
 
 @dataclass(frozen=True)
 class Result:
     """Everything that one experiment found.
 
-    Parameters
-    ----------
-    summary : plain sentences for a person; the first stands alone in the list of contents.
-    rows : quantities beside the printed ones.
-    figures : the redrawn plots.
-    numbers : further numbers for the JSON (and the page), by name.
-    page_rows, page_figures : shown in the page and left out of the JSON, since they change from
-        run to run (measured run times).
+    summary : its first sentence stands alone in the list of contents; numbers : further ones by name;
+    page_rows, page_figures : not in the JSON, since they change from run to run (measured run times).
     """
 
     summary: str
-    rows: tuple[Row, ...] = ()
-    figures: tuple[Figure | Heatmap, ...] = ()
+    rows: Sequence[Row] = ()
+    figures: Sequence[Figure | Heatmap] = ()
     numbers: Mapping[str, Any] = field(default_factory=dict)
-    page_rows: tuple[Row, ...] = ()
-    page_figures: tuple[Figure | Heatmap, ...] = ()
+    page_rows: Sequence[Row] = ()
+    page_figures: Sequence[Figure | Heatmap] = ()
 
     def __post_init__(self) -> None:
-        for name in ("rows", "figures", "page_rows", "page_figures"):
-            object.__setattr__(self, name, tuple(getattr(self, name)))
-        object.__setattr__(
-            self, "numbers", {str(name): _plain(value, f"number {name!r}") for name, value in self.numbers.items()}
-        )
+        _set(self, **{name: tuple(getattr(self, name)) for name in ("rows", "figures", "page_rows", "page_figures")})
+        _set(self, numbers={str(name): _plain(value, f"number {name!r}") for name, value in self.numbers.items()})
+
+
+def significant(value: Any, digits: int) -> Any:
+    """A number, or each one of a list, with so many significant digits."""
+    return [significant(each, digits) for each in value] if np.ndim(value) else float(f"{value:.{digits}g}")
 
 
 def matrix_text(rows: Sequence[Sequence[str]]) -> str:
@@ -173,16 +146,20 @@ def matrix_text(rows: Sequence[Sequence[str]]) -> str:
     return "\n".join("  ".join(f"{text:>{width}}" for text, width in zip(row, widths)) for row in texts)
 
 
-def _is_number(value: Any) -> bool:
+def _set(frozen: object, **values: object) -> None:
+    """Set fields of a frozen dataclass while it is made."""
+    for name, value in values.items():
+        object.__setattr__(frozen, name, value)
+
+
+def _is_number(value: object) -> TypeGuard[int | float]:
     return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
 def _plain(value: Any, where: str) -> Any:
     """NumPy's types as Python's; a number that is not finite is refused, since JSON has none."""
-    if isinstance(value, np.ndarray):
+    if isinstance(value, (np.ndarray, np.generic)):
         value = value.tolist()
-    if isinstance(value, np.generic):
-        value = value.item()
     if isinstance(value, (list, tuple)):
         return [_plain(item, where) for item in value]
     if isinstance(value, Mapping):

@@ -10,9 +10,10 @@ law of that kind made the record. The ends close in as 1/samples, not as its squ
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.optimize import linprog
 
 #: share of the half step that a sample may be off by: rounding of the record's own numbers
@@ -27,7 +28,7 @@ class Enclosure:
     rows (m, n), values (m,), step (m,) or a number, in the unit of the values.
     """
 
-    def __init__(self, rows: np.ndarray, values: np.ndarray, step):
+    def __init__(self, rows: np.ndarray, values: np.ndarray, step: ArrayLike):
         half = np.broadcast_to(0.5 * np.asarray(step, dtype=float), values.shape)
         rows = rows / half[:, None]
         # the solver's tolerances are absolute: all coefficients at most 1
@@ -41,7 +42,7 @@ class Enclosure:
         """Whether no theta fits."""
         return self._solve(np.zeros(len(self._scale))) is None
 
-    def ends(self, along: Sequence[float]) -> tuple[float, float] | None:
+    def ends(self, along: Iterable[float]) -> tuple[float, float] | None:
         """Least and greatest value of along' theta; None where the set is empty."""
         along = tuple(float(a) for a in along)
         if along not in self._found:
@@ -51,45 +52,38 @@ class Enclosure:
             self._found[along] = None if low is None or high is None else (low * size, -high * size)
         return self._found[along]
 
-    def ratio_ends(self, above: Sequence[float], below: Sequence[float]) -> tuple[float, float] | None:
+    def ratio_ends(self, above: Iterable[float], below: Iterable[float]) -> tuple[float, float] | None:
         """Least and greatest above' theta / below' theta, where below' theta > 0 in all of the set.
 
         Charnes and Cooper (1962): theta / (below' theta) and 1 / (below' theta) as unknowns. None
         where the set is empty or below' theta is not positive in all of it.
         """
+        above, below = np.array(list(above), dtype=float), np.array(list(below), dtype=float)
         denominator = self.ends(below)
         if denominator is None or denominator[0] <= 0.0:
             return None
         # the unknowns are y = theta t and t, with below' y = unit, so that t is about 1
         unit = 0.5 * (denominator[0] + denominator[1])
-        cost = np.append(np.asarray(above, dtype=float) / self._scale, 0.0)
+        cost = np.append(above / self._scale, 0.0)
         size = np.abs(cost).max()
         found = []
+        limits = {
+            "A_ub": np.column_stack([self._sides, -self._limits]),
+            "b_ub": np.zeros(len(self._limits)),
+            "A_eq": np.append(below / self._scale, 0.0)[None, :],
+            "b_eq": [unit],
+            "bounds": [(None, None)] * len(self._scale) + [(0.0, None)],
+        }
         for sign in (1.0, -1.0):
-            result = linprog(
-                sign * cost / size,
-                A_ub=np.column_stack([self._sides, -self._limits]),
-                b_ub=np.zeros(len(self._limits)),
-                A_eq=np.append(np.asarray(below, dtype=float) / self._scale, 0.0)[None, :],
-                b_eq=[unit],
-                method="highs",
-                options=_OPTIONS,
-                bounds=[(None, None)] * len(self._scale) + [(0.0, None)],
-            )
+            result = linprog(sign * cost / size, **limits, method="highs", options=_OPTIONS)
             if result.status != 0:
                 return None
             found.append(float(sign * result.fun * size / unit))
         return found[0], found[1]
 
     def _solve(self, cost: np.ndarray) -> float | None:
-        result = linprog(
-            cost,
-            A_ub=self._sides,
-            b_ub=self._limits,
-            bounds=[(None, None)] * len(self._scale),
-            method="highs",
-            options=_OPTIONS,
-        )
+        free = [(None, None)] * len(self._scale)
+        result = linprog(cost, A_ub=self._sides, b_ub=self._limits, bounds=free, method="highs", options=_OPTIONS)
         return float(result.fun) if result.status == 0 else None
 
 

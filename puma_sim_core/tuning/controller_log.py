@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from puma_sim_core.errors import ParameterError, RecordingError
+from puma_sim_core.checks import check_choice, check_positive, check_shapes, check_whole
+from puma_sim_core.errors import RecordingError
 from puma_sim_core.recording.recording import read_columns
 
 #: fewer samples than this identify nothing
@@ -27,9 +28,7 @@ class ControllerLog:
     period : h [s]. setpoint, position (n,) [rad]: what the controller read; voltage (n,) [V]: what
     it gave for them. where : names the record in errors.
 
-    Raises
-    ------
-    RecordingError : unequal lengths, fewer than 16 samples, numbers that are not finite.
+    Raises RecordingError: unequal lengths, fewer than 16 samples, numbers that are not finite.
     """
 
     period: float
@@ -38,25 +37,15 @@ class ControllerLog:
     voltage: np.ndarray
     where: str = "log"
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if not (np.isfinite(self.period) and self.period > 0.0):
             raise RecordingError(f"period {self.period!r} s", where=self.where, expected="a positive number")
-        for name in _GROUPS:
-            object.__setattr__(self, name, np.array(getattr(self, name), dtype=float))
-        shapes = [getattr(self, name).shape for name in _GROUPS]
-        if len(set(shapes)) != 1 or len(shapes[0]) != 1:
-            raise RecordingError(
-                f"setpoint, position and voltage of shapes {shapes}",
-                where=self.where,
-                expected="three of the shape (n,)",
-            )
-        if shapes[0][0] < FEWEST:
-            raise RecordingError(
-                f"{shapes[0][0]} samples", where=self.where, expected=f"at least {FEWEST}, better some thousands"
-            )
-        for name in _GROUPS:
-            if not np.isfinite(getattr(self, name)).all():
-                raise RecordingError(f"{name} is not finite", where=self.where, expected="finite numbers")
+        given = {name: np.array(getattr(self, name), dtype=float) for name in _GROUPS}
+        for name, values in zip(given, check_shapes("(n,)", self.where, RecordingError, **given)):
+            object.__setattr__(self, name, values)
+        if len(self) < FEWEST:
+            expected = f"at least {FEWEST}, better some thousands"
+            raise RecordingError(f"{len(self)} samples", where=self.where, expected=expected)
 
     def __len__(self) -> int:
         return len(self.voltage)
@@ -69,12 +58,9 @@ class ControllerLog:
     def with_counts(self, step: float) -> ControllerLog:
         """The positions rounded to an encoder's step [rad], as the controller read them.
 
-        Raises
-        ------
-        ParameterError : a step that is not positive.
+        Raises ParameterError: a step that is not positive.
         """
-        if not (np.isfinite(step) and step > 0.0):
-            raise ParameterError(f"{step!r} rad", where="step of the positions", expected="a positive number")
+        check_positive(step, "step", "rad", "step of the positions")
         return replace(self, position=np.floor(self.position / step + 0.5) * step)
 
     def with_delay(self, samples: int) -> ControllerLog:
@@ -82,18 +68,11 @@ class ControllerLog:
 
         samples : by which the recorded voltage is later than the setpoint and position it is for.
 
-        Raises
-        ------
-        ParameterError : a number that is negative or leaves fewer than 16 samples.
+        Raises ParameterError: a number that is negative or leaves fewer than 16 samples.
         """
-        if isinstance(samples, bool) or not isinstance(samples, int) or not 0 <= samples <= len(self) - FEWEST:
-            raise ParameterError(
-                f"{samples!r} samples", where="delay", expected=f"a whole number from 0 to {len(self) - FEWEST}"
-            )
-        kept = len(self) - samples
-        return replace(
-            self, setpoint=self.setpoint[:kept], position=self.position[:kept], voltage=self.voltage[samples:]
-        )
+        kept = len(self) - check_whole(samples, "samples", 0, len(self) - FEWEST, where="delay")
+        first = {"setpoint": self.setpoint[:kept], "position": self.position[:kept]}
+        return replace(self, **first, voltage=self.voltage[samples:])  # type: ignore[arg-type]
 
 
 def lattice_step(values: np.ndarray) -> float:
@@ -113,24 +92,21 @@ def lattice_step(values: np.ndarray) -> float:
     return 0.0
 
 
-def even_period(time, where: str) -> float:
+def even_period(time: np.ndarray, where: str) -> float:
     """The period [s] of evenly spaced times; raises RecordingError, which names the first gap."""
     steps = np.diff(time)
     period = float(np.median(steps))
     uneven = np.flatnonzero(np.abs(steps - period) > _JITTER * period)
     if uneven.size:
         row = int(uneven[0])
-        raise RecordingError(
-            f"{steps[row] * 1e3:.6g} ms after {time[row]:.9g} s",
-            where=where,
-            expected=f"evenly spaced samples, here {period * 1e3:.6g} ms apart "
-            "(one row a sample of the controller, none left out)",
-        )
+        what = f"{steps[row] * 1e3:.6g} ms after {time[row]:.9g} s"
+        expected = f"evenly spaced samples, here {period * 1e3:.6g} ms apart (one row a sample, none left out)"
+        raise RecordingError(what, where=where, expected=expected)
     # the mean of all, since printed times are rounded
     return float((time[-1] - time[0]) / (len(time) - 1))
 
 
-def read_controller_log(path: str | os.PathLike, joint: int | None = None) -> ControllerLog:
+def read_controller_log(path: str | os.PathLike[str], joint: int | None = None) -> ControllerLog:
     """Read columns time, setpoint, position, voltage, or setpoint1..3 and so on with a joint.
 
     One row a sample of the controller [s, rad, rad, V]. The last row is left out: its voltage
@@ -138,31 +114,23 @@ def read_controller_log(path: str | os.PathLike, joint: int | None = None) -> Co
 
     Raises
     ------
-    RecordingError : as `recording.read_csv`; samples that are not evenly spaced; numbered columns
-        without a joint.
+    RecordingError : as `recording.read_csv`; samples that are not evenly spaced; numbered columns without a joint.
     ParameterError : a joint other than 1, 2, 3.
     """
-    if joint not in (None, 1, 2, 3):
-        raise ParameterError(f"joint {joint!r}", expected="1, 2 or 3")
-    single = _GROUPS
-    numbered = tuple(f"{group}{j}" for group in _GROUPS for j in (1, 2, 3))
-    others = tuple(f"{group}{j}" for group in _OTHERS for j in (1, 2, 3))
-    table = read_columns(path, ((single, _OTHERS), (numbered, others)))
-    if single[0] in table:
-        if joint is not None:
-            raise RecordingError(
-                f"joint {joint} of a log of one joint",
-                where=str(path),
-                expected="columns setpoint1..3, position1..3, voltage1..3, or no joint",
-            )
-        names = single
-    elif joint is None:
+    if joint is not None:
+        check_choice(joint, "joint", (1, 2, 3))
+    numbered, others = ([f"{group}{j}" for group in groups for j in (1, 2, 3)] for groups in (_GROUPS, _OTHERS))
+    table = read_columns(path, ((_GROUPS, _OTHERS), (numbered, others)))
+    single = _GROUPS[0] in table
+    if single and joint is not None:
+        expected = "columns setpoint1..3, position1..3, voltage1..3, or no joint"
+        raise RecordingError(f"joint {joint} of a log of one joint", where=str(path), expected=expected)
+    if not single and joint is None:
         raise RecordingError("has the columns of three joints", where=str(path), expected="--joint 1, 2 or 3")
-    else:
-        names = tuple(f"{group}{joint}" for group in _GROUPS)
-    if len(table["time"]) <= FEWEST:
-        raise RecordingError(
-            f"{len(table['time'])} rows", where=str(path), expected=f"more than {FEWEST}, better some thousands"
-        )
+    rows = len(table["time"])
+    if rows <= FEWEST:
+        expected = f"more than {FEWEST}, better some thousands"
+        raise RecordingError(f"{rows} rows", where=str(path), expected=expected)
+    setpoint, position, voltage = (table[group if single else f"{group}{joint}"][:-1] for group in _GROUPS)
     where = str(path) if joint is None else f"{path}, joint {joint}"
-    return ControllerLog(even_period(table["time"], str(path)), *(table[name][:-1] for name in names), where=where)
+    return ControllerLog(even_period(table["time"], str(path)), setpoint, position, voltage, where)

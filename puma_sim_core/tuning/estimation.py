@@ -12,10 +12,13 @@ weighted with the covariance that noise of angle and voltage give together.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import least_squares
 from scipy.stats import chi2, norm
@@ -23,6 +26,7 @@ from scipy.stats import chi2, norm
 from puma_sim_core.arm.rigid_body import inertia
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.plant.plant import Plant
+from puma_sim_core.servo.servo import ServoConfig
 from puma_sim_core.simulation.simulator import Constraint, Simulator
 
 #: a direction of the parameters that the records tell a million times less of than another
@@ -38,14 +42,14 @@ class Instrument:
 
     angle_noise: float = 2e-4
     voltage_noise: float = 0.02
-    angle_steps: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    angle_steps: Sequence[float] = (0.0, 0.0, 0.0)
     voltage_step: float = 0.0
 
-    def angle(self, values, joint: int, rng: np.random.Generator) -> np.ndarray:
+    def angle(self, values: ArrayLike, joint: int, rng: np.random.Generator) -> np.ndarray:
         """Recorded angles of joint 1, 2 or 3 for true ones [rad]."""
         return _through(values, self.angle_noise, self.angle_steps[joint - 1], rng)
 
-    def voltage(self, values, rng: np.random.Generator) -> np.ndarray:
+    def voltage(self, values: ArrayLike, rng: np.random.Generator) -> np.ndarray:
         """Recorded voltages for true ones [V]."""
         return _through(values, self.voltage_noise, self.voltage_step, rng)
 
@@ -59,7 +63,7 @@ class Instrument:
         return float(np.hypot(self.voltage_noise, self.voltage_step / np.sqrt(12.0)))
 
 
-def _through(values, noise, step, rng):
+def _through(values: ArrayLike, noise: float, step: float, rng: np.random.Generator) -> np.ndarray:
     values = np.asarray(values) + noise * rng.standard_normal(np.shape(values))
     return np.round(values / step) * step if step > 0.0 else values
 
@@ -79,15 +83,16 @@ class Record:
     every: int
     angle: np.ndarray
     joints: tuple[int, ...]
-    constraints: tuple[Constraint, Constraint, Constraint]
-    start: tuple[float, float, float]
-    current: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    constraints: Sequence[Constraint]
+    start: Sequence[float]
+    current: Sequence[float] = (0.0, 0.0, 0.0)
 
     def simulated(self, plant: Plant) -> np.ndarray:
         """(m, 3) angles [rad] of a plant under the recorded voltages, open loop."""
         simulator = Simulator(plant, constraints=self.constraints)
         simulator.reset(self.start, None, self.current)
-        return simulator.run(self.time, self.voltage).position[:: self.every]
+        angles: Any = simulator.run(self.time, self.voltage).position
+        return angles[:: self.every]
 
 
 @dataclass(frozen=True)
@@ -123,7 +128,7 @@ class Estimate:
         low, high = self.intervals[k]
         return float(self.values[k]), float(low), float(high)
 
-    def combined(self, weights: dict[str, float], constant: float = 0.0):
+    def combined(self, weights: dict[str, float], constant: float = 0.0) -> tuple[float, float, float]:
         """(value, low, high) of constant + a weighted sum of parameters."""
         w = np.array([weights.get(name, 0.0) for name in self.names])
         value = constant + float(w @ self.values)
@@ -131,48 +136,51 @@ class Estimate:
         return value, value - half, value + half
 
 
-def record_from_servo(
-    plant: Plant,
-    setpoint,
-    *,
-    joint: int,
-    instrument: Instrument,
-    rng: np.random.Generator,
-    servo,
-    every: int = 5,
-    settle: int = 60,
-    voltage_limit: float = 40.0,
-) -> tuple[Record, np.ndarray]:
-    """Drive one joint under the servo, the others locked, and record it as section 7.1.1 does.
+@dataclass(frozen=True)
+class ServoTest:
+    """How one joint is driven, the others locked.
 
-    setpoint : (n, 3) [rad], one each 28 ms; its first row is held for `settle` periods before the
-    record begins, so that the record begins at rest. servo : `ServoConfig`.
+    joint : 1, 2 or 3; servo : the digital servo that drives it; every : the angles are taken at each `every`-th
+    sample; settle : periods for which the first setpoint is held before the record begins, so that it begins at
+    rest; voltage_limit [V].
+    """
+
+    joint: int
+    servo: ServoConfig
+    every: int = 5
+    settle: int = 60
+    voltage_limit: float = 40.0
+
+
+def record_from_servo(
+    plant: Plant, setpoint: ArrayLike, test: ServoTest, instrument: Instrument, rng: np.random.Generator
+) -> tuple[Record, np.ndarray]:
+    """Drive one joint under the servo and record it as section 7.1.1 does.
+
+    setpoint : (n, 3) [rad], one every 28 ms.
 
     Returns
     -------
     (record, true angles (m, 3) at the times of its angles).
     """
-    setpoint = np.asarray(setpoint, dtype=float)
-    constraints = tuple(Constraint() if j == joint else Constraint("hold") for j in (1, 2, 3))
+    setpoint, j, lead = np.asarray(setpoint, dtype=float), test.joint - 1, 4
+    constraints = tuple(Constraint() if k == j else Constraint("hold") for k in range(3))
     simulator = Simulator(plant, constraints=constraints)
     simulator.reset(setpoint[0])
-    lead = 4
-    held = np.repeat(setpoint[:1], settle + lead, axis=0)
-    run = simulator.run_servo(np.vstack([held, setpoint]), servo, voltage_limit=voltage_limit)
-    first = settle * 30
+    held = np.repeat(setpoint[:1], test.settle + lead, axis=0)
+    run: Any = simulator.run_servo(np.vstack([held, setpoint]), test.servo, voltage_limit=test.voltage_limit)
+    first, rest = test.settle * 30, lead * 30
     true = run.position[first:]
     volts = np.zeros((len(true), 3))
-    volts[:, joint - 1] = instrument.voltage(run.voltage[first:, joint - 1], rng)
-    angle = true[::every].copy()
-    angle[:, joint - 1] = instrument.angle(angle[:, joint - 1], joint, rng)
-    rest = lead * 30
+    volts[:, j] = instrument.voltage(run.voltage[first:, j], rng)
+    angle = true[:: test.every].copy()
+    angle[:, j] = instrument.angle(angle[:, j], test.joint, rng)
     start, current = list(setpoint[0]), [0.0, 0.0, 0.0]
-    start[joint - 1] = float(angle[: rest // every, joint - 1].mean())
-    current[joint - 1] = float(volts[:rest, joint - 1].mean() / plant.arm.motors[joint - 1].resistance)
-    record = Record(
-        run.time[first:] - run.time[first], volts, every, angle, (joint,), constraints, tuple(start), tuple(current)
-    )
-    return record, true[::every]
+    start[j] = float(angle[: rest // test.every, j].mean())
+    current[j] = float(volts[:rest, j].mean() / plant.arm.motors[j].resistance)
+    time = run.time[first:] - run.time[first]
+    record = Record(time, volts, test.every, angle, (test.joint,), constraints, tuple(start), tuple(current))
+    return record, true[:: test.every]
 
 
 def _whitener(record: Record, joint: int, plant: Plant, instrument: Instrument) -> np.ndarray:
@@ -217,10 +225,10 @@ def estimate(
     model: Callable[[np.ndarray], Plant],
     records: Sequence[Record],
     names: Sequence[str],
-    guess,
+    guess: ArrayLike,
     instrument: Instrument,
     *,
-    lower=0.0,
+    lower: ArrayLike = 0.0,
     prior: tuple[np.ndarray, np.ndarray] | None = None,
     confidence: float = 0.95,
 ) -> Estimate:
@@ -230,10 +238,8 @@ def estimate(
     parameter; lower : bound(s) of the parameters; prior : (values (k,), precision (k, k)) known
     beforehand, the precision being the inverse of a covariance, zero where nothing is known.
 
-    Raises
-    ------
-    ParameterError : no records, a guess of zero, or records that do not tell the parameters apart;
-        names those that are confounded.
+    Raises ParameterError: no records, a guess of zero, or records that do not tell the parameters
+    apart; names those that are confounded.
     """
     guess = np.asarray(guess, dtype=float)
     if not records:
@@ -250,7 +256,7 @@ def estimate(
         size, turn = np.linalg.eigh(np.asarray(prior[1]) * np.outer(guess, guess))
         roots = np.sqrt(np.maximum(size, 0.0))[:, None] * turn.T
 
-    def residuals(share):
+    def residuals(share: np.ndarray) -> np.ndarray:
         plant = model(share * guess)
         parts = []
         for r, record in enumerate(records):
@@ -258,7 +264,7 @@ def estimate(
             for j in record.joints:
                 difference = angles[:, j - 1] - record.angle[:, j - 1]
                 parts.append(factors[r, j] @ difference)
-        if roots is not None:
+        if roots is not None and prior is not None:
             parts.append(roots @ (share - np.asarray(prior[0]) / guess))
         return np.concatenate(parts)
 
@@ -282,35 +288,27 @@ def _check_distinct(jacobian: np.ndarray, names: Sequence[str]) -> None:
     """Raise where the records do not tell the parameters apart."""
     size = np.linalg.norm(jacobian, axis=0)
     if not (size > 0.0).all():
-        silent = ", ".join(n for n, s in zip(names, size) if not s > 0.0)
-        raise ParameterError(
-            f"the records do not depend on {silent}",
-            where="estimation",
-            expected="a motion that excites each parameter",
-        )
+        what = f"the records do not depend on {', '.join(n for n, s in zip(names, size) if not s > 0.0)}"
+        raise ParameterError(what, where="estimation", expected="a motion that excites each parameter")
     _, values, directions = np.linalg.svd(jacobian / size, full_matrices=False)
     if values[-1] * GREATEST_CONDITION < values[0]:
         worst = np.abs(directions[-1])
         mixed = ", ".join(n for n, w in zip(names, worst) if w > 0.1 * worst.max())
-        raise ParameterError(
-            f"the records do not tell {mixed} apart",
-            where="estimation",
-            expected="motions in which they act differently, or fewer parameters",
-        )
+        expected = "motions in which they act differently, or fewer parameters"
+        raise ParameterError(f"the records do not tell {mixed} apart", where="estimation", expected=expected)
 
 
 def with_gyration(plant: Plant, changes: dict[str, float]) -> Plant:
     """The plant with radii of gyration squared replaced, such as {"k3yy": 0.07} [m^2].
 
-    Raises
-    ------
-    ParameterError : a name that is not k, a link and xx, yy or zz.
+    Raises ParameterError: a name that is not k, a link and xx, yy or zz.
     """
-    links = list(plant.arm.links)
+    links: list[Any] = list(plant.arm.links)
     for name, value in changes.items():
-        if len(name) != 4 or name[0] != "k" or name[1] not in "123" or name[2:] not in ("xx", "yy", "zz"):
+        found = re.fullmatch(r"k([123])(xx|yy|zz)", name)
+        if found is None:
             raise ParameterError(f"'{name}'", where="radius of gyration", expected="k1xx to k3zz")
-        axis, n = ("xx", "yy", "zz").index(name[2:]), int(name[1]) - 1
+        n, axis = int(found[1]) - 1, ("xx", "yy", "zz").index(found[2])
         k = list(links[n].gyration_squared)
         k[axis] = float(value)
         links[n] = replace(links[n], gyration_squared=tuple(k))

@@ -10,8 +10,12 @@ starting guess to forget, and the result after any number of rows is that of one
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike
+
+from puma_sim_core.checks import check_whole, is_number
 from puma_sim_core.errors import ParameterError
 
 #: columns whose smallest singular value, each scaled to length 1, is below this cannot be told
@@ -28,34 +32,25 @@ class RecursiveLeastSquares:
     forgetting : lambda, above 0 and at most 1; the weight of a sample falls by it at each newer
         one, so that about 1/(1 - lambda) samples count.
 
-    Raises
-    ------
-    ParameterError : size below 1, or a forgetting factor outside its range.
+    Raises ParameterError: size below 1, or a forgetting factor outside its range.
     """
 
     def __init__(self, size: int, forgetting: float = 1.0):
-        if isinstance(size, bool) or not isinstance(size, int) or size < 1:
-            raise ParameterError(f"size {size!r}", where="least squares", expected="a whole number of at least 1")
         self.forgetting = check_forgetting(forgetting)
-        self.size = size
+        self.size = check_whole(size, "size", 1, where="least squares")
         self.samples = 0
-        self._factor = np.zeros((0, size + 1))
+        self._factor: Any = np.zeros((0, size + 1))
 
-    def update(self, rows, values) -> None:
+    def update(self, rows: ArrayLike, values: ArrayLike) -> None:
         """Take one row (n,) and its value, or m rows (m, n) and values (m,), oldest first.
 
-        Raises
-        ------
-        ParameterError : shapes that do not fit, numbers that are not finite.
+        Raises ParameterError: shapes that do not fit, numbers that are not finite.
         """
         rows = np.atleast_2d(np.asarray(rows, dtype=float))
         values = np.atleast_1d(np.asarray(values, dtype=float))
         if rows.shape != (len(values), self.size) or values.ndim != 1:
-            raise ParameterError(
-                f"rows {rows.shape} and values {values.shape}",
-                where="least squares",
-                expected=f"(m, {self.size}) and (m,)",
-            )
+            what = f"rows {rows.shape} and values {values.shape}"
+            raise ParameterError(what, where="least squares", expected=f"(m, {self.size}) and (m,)")
         if not (np.isfinite(rows).all() and np.isfinite(values).all()):
             raise ParameterError("a row or value that is not finite", where="least squares", expected="finite numbers")
         m = len(values)
@@ -77,11 +72,8 @@ class RecursiveLeastSquares:
     def estimate(self) -> np.ndarray:
         """(n,) theta; raises ParameterError while the rows do not determine it."""
         if not self.determined:
-            raise ParameterError(
-                f"{self.samples} rows do not determine {self.size} parameters",
-                where="least squares",
-                expected="rows that differ enough",
-            )
+            what = f"{self.samples} rows do not determine {self.size} parameters"
+            raise ParameterError(what, where="least squares", expected="rows that differ enough")
         triangle = self._factor[: self.size, : self.size]
         return np.linalg.solve(triangle, self._factor[: self.size, self.size])
 
@@ -94,7 +86,7 @@ class RecursiveLeastSquares:
 
 def check_forgetting(value: float) -> float:
     """The forgetting factor, or a ParameterError."""
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 < value <= 1.0:
+    if not is_number(value) or not 0.0 < value <= 1.0:
         raise ParameterError(f"forgetting factor {value!r}", expected="a number above 0 and at most 1")
     return float(value)
 

@@ -2,13 +2,11 @@
 # Copyright the puma-sim contributors
 """PID gains from a controller's own input and output (section 7.8).
 
-The denominator of a PID controller is known: 1 - z^-1. Summed up once, its law is linear in the
-gains and in a constant c, the sum at the record's start:
-``u(k) = p e(k) + s sum_{1..k} e + d (w(k) - w(k-1)) + c``, w the error or less the measurement.
-The inputs are the very numbers that the controller read, so that the rounding of the voltage is
-the only error, and least squares is unbiased. (With the denominator left free, as the thesis has
-it, rounded voltages stand among the regressors: see `transfer_function`.) While the voltage is at
-its limit the law does not hold; each stretch between two such has a constant of its own.
+The denominator of a PID controller is known: 1 - z^-1. Summed up once, its law is linear in the gains and in a constant
+c, the sum at the record's start: ``u(k) = p e(k) + s sum_{1..k} e + d (w(k) - w(k-1)) + c``, w the error or less the
+measurement. The inputs are the very numbers that the controller read, so that the rounding of the voltage is the only
+error, and least squares is unbiased (unlike `transfer_function`). While the voltage is at its limit the law does not
+hold; each stretch between two such has a constant of its own.
 """
 
 from __future__ import annotations
@@ -19,8 +17,9 @@ from math import inf, sqrt
 import numpy as np
 from scipy.special import chdtrc, ndtri
 
-from puma_sim_core.dynamics.pid import FORMS
+from puma_sim_core.checks import check_choice, check_positive
 from puma_sim_core.errors import ParameterError, RecordingError
+from puma_sim_core.servo.pid import FORMS
 from puma_sim_core.tuning.bounded_error import Enclosure, joint_rows
 from puma_sim_core.tuning.controller_log import ControllerLog, lattice_step
 from puma_sim_core.tuning.least_squares import SINGULAR, RecursiveLeastSquares, sandwich, weights
@@ -57,6 +56,11 @@ class Equations:
     rows: np.ndarray
     voltage: np.ndarray
 
+    def means(self, values: np.ndarray) -> np.ndarray:
+        """Means of values (m,) over the stretches."""
+        constants = self.rows[:, 3:]
+        return constants.T @ values / constants.sum(axis=0)
+
 
 @dataclass(frozen=True)
 class PidEstimate:
@@ -64,28 +68,22 @@ class PidEstimate:
 
     Attributes
     ----------
-    gain, integral_time, derivative_time : Kg [V/rad], Ti [s], Td [s]. Where rounding of the voltage
-        is the only error, the intervals are certain (all that is within rounding of every sample)
-        and the values their middles; else both are those of least_squares. Ti is inf where no
-        integral action is seen, its lower end still holds; the lower end of Td is 0 where no
-        derivative is seen.
-    rounding_only : whether they are certain: the voltage has a step, and some PID controller is
-        within half a step of every sample. False where it was not looked for.
-    least_squares : the same three by least squares, with confidence intervals that allow for
-        errors that are correlated in time. Noise on the voltage they take rightly. Rounding alone
-        they may not: where a slow voltage is rounded in the same way in each repetition of a
-        motion, or moves by less than a step from sample to sample, they cover less often than they
-        say (88 % in place of 95 % for a motion of 20 counts, and fewer still without dither).
-    coefficients : least squares (q0, q1, q2) [V/rad] of (q0 + q1 z^-1 + q2 z^-2)/(1 - z^-1), from
-        the error to u, and coefficient_intervals. With the derivative of the measurement it is the
-        path from less the measurement; that from the setpoint is then
-        (q0 - q2 + (q1 + 2 q2) z^-1)/(1 - z^-1), and none is from the error alone.
+    gain, integral_time, derivative_time : Kg [V/rad], Ti [s], Td [s]. Where rounding of the voltage is the only error
+        the intervals are certain (all that is within rounding of every sample) and the values their middles; else both
+        are those of least_squares. Ti is inf where no integral action is seen, its lower end still holds.
+    rounding_only : whether they are certain: some PID controller is within half a step of every sample.
+    least_squares : the same three by least squares, with confidence intervals that allow for errors correlated in time.
+        Under rounding alone, without dither, they cover less often than they say (88 % in place of 95 % for a motion
+        of 20 counts).
+    coefficients : least squares (q0, q1, q2) [V/rad] of (q0 + q1 z^-1 + q2 z^-2)/(1 - z^-1), from the error to u, and
+        coefficient_intervals. With the derivative of the measurement it is the path from less the measurement; that
+        from the setpoint is then (q0 - q2 + (q1 + 2 q2) z^-1)/(1 - z^-1).
     derivative : "error" or "measurement", "either" where the setpoint does not move.
     form : "positional" or "velocity", how Kg, Ti, Td follow from the same coefficients (see `pid`).
-    terms, covariance : (3,) p, s, d [V/rad] and their (3, 3) covariance.
-    period [s]; confidence; samples used; saturated : samples left out; residual : rms [V];
+    period [s]; confidence; samples used; saturated : samples left out;
     other_residual : rms [V] with the other kind of derivative, None for "either";
-    voltage_step, position_step : [V], [rad], 0 where there is none.
+    voltage_step, position_step : [V], [rad], 0 where there is none;
+    terms, covariance : (3,) p, s, d [V/rad] and their (3, 3) covariance; residual : rms [V].
     """
 
     gain: Interval
@@ -97,17 +95,17 @@ class PidEstimate:
     coefficient_intervals: tuple[Interval, Interval, Interval]
     derivative: str
     form: str
-    terms: np.ndarray
-    covariance: np.ndarray
     period: float
     confidence: float
     samples: int
     saturated: int
-    residual: float
     other_residual: float | None
     voltage_step: float
     position_step: float
     where: str
+    terms: np.ndarray
+    covariance: np.ndarray
+    residual: float
     equations: Equations = field(repr=False)
 
 
@@ -126,12 +124,11 @@ def identify_pid(
     Parameters
     ----------
     log : at least 16 samples; 4096 as in section 7.1.2 are plenty.
-    form : "positional", the sum includes the present error (as `Pid` and the servo have it), or
-        "velocity", it ends one sample before (equations 7.5 to 7.7). The record is the same.
+    form : "positional", the sum includes the present error (as `Pid` and the servo have it), or "velocity", it ends
+        one sample before (equations 7.5 to 7.7).
     derivative : of the "error", of the "measurement", or "auto": whichever leaves less.
     confidence : of each interval, between 0 and 1.
-    forgetting : factor of the recursion; below 1 the record's end counts most, and nothing is
-        certain.
+    forgetting : factor of the recursion; below 1 the record's end counts most, and nothing is certain.
     limit : magnitude [V] at which the voltage saturates; such samples are left out.
     bounds : whether to look for certain intervals, which takes most of the time.
 
@@ -141,39 +138,41 @@ def identify_pid(
     RecordingError : the record does not determine the gains: error or voltage at rest, an error
         that does not tell the three actions apart, voltages that no PID explains.
     """
-    _check_options(form, derivative, confidence, limit)
+    check_choice(form, "form", FORMS)
+    check_choice(derivative, "derivative", DERIVATIVES)
+    if isinstance(confidence, bool) or not 0.0 < confidence < 1.0:
+        raise ParameterError(f"confidence {confidence!r}", expected="a number between 0 and 1")
+    check_positive(limit, "limit", "V", infinite=True)
     step = lattice_step(log.voltage[np.abs(log.voltage) < limit * (1.0 - 1e-9)])
     stretch = _stretches(log, limit, step)
-    kinds = _kinds(log, derivative, stretch)
+    kinds = [derivative]
+    if derivative == "auto":
+        used = np.flatnonzero(stretch >= 0)
+        moved = np.diff(log.setpoint)[used[used > 0] - 1].any()
+        kinds = ["error", "measurement"] if moved else ["error"]
     fits = [_fit(log, kind, stretch, forgetting) for kind in kinds]
     best = min(range(len(fits)), key=lambda k: fits[k].residual)
     fit, kind = fits[best], kinds[best]
     if derivative == "auto" and len(kinds) == 1:
         kind = "either"
-    variance = _spread(fit.equations)
+    constants, voltage = fit.equations.rows[:, 3:], fit.equations.voltage
+    variance = float(np.mean((voltage - constants @ fit.equations.means(voltage)) ** 2))
     if fit.residual**2 > _UNEXPLAINED * variance:
-        raise RecordingError(
-            f"a PID leaves {fit.residual:.3g} V rms of the voltage's {sqrt(variance):.3g} V",
-            where=log.where,
-            expected="the error and voltage of one PID controller (setpoint, "
-            "position and voltage of the same joint and sample)",
-        )
+        what = f"a PID leaves {fit.residual:.3g} V rms of the voltage's {sqrt(variance):.3g} V"
+        expected = "the setpoint, position and voltage of one PID controller, of the same joint and sample"
+        raise RecordingError(what, where=log.where, expected=expected)
     z = float(ndtri(0.5 + 0.5 * confidence))
     gain_of = np.array([1.0, 0.0 if form == "positional" else 1.0, 0.0])
     h = log.period
     gain = _linear(gain_of, fit, z)
     if not gain.low > 0.0:
         sign = "is negative" if gain.high < 0.0 else "is not determined"
-        raise RecordingError(
-            f"Kg {sign} ({gain.low:.4g} to {gain.high:.4g} V/rad at {confidence:g} confidence)",
-            where=log.where,
-            expected="a record whose error moves, with the signs of setpoint, "
-            "position and voltage as the controller has them",
-        )
-    integral = np.array([0.0, 1.0, 0.0])
-    derive = np.array([0.0, 0.0, 1.0])
+        what = f"Kg {sign} ({gain.low:.4g} to {gain.high:.4g} V/rad at {confidence:g} confidence)"
+        expected = "a record whose error moves, with setpoint, position and voltage in the controller's signs"
+        raise RecordingError(what, where=log.where, expected=expected)
+    _, integral, derive = np.eye(3)
     q_of = np.array([[1.0, 1.0, 1.0], [-1.0, 0.0, -2.0], [0.0, 0.0, 1.0]])
-    intervals = tuple(_linear(row, fit, z) for row in q_of)
+    q0, q1, q2 = (_linear(row, fit, z) for row in q_of)
     squares = (
         gain,
         _integral_time(_ratio(integral, gain_of, fit, z), h),
@@ -184,24 +183,21 @@ def identify_pid(
         certain = _enclosed(fit.equations, step, gain_of, h)
     return PidEstimate(
         *(certain or squares),
-        certain is not None,
-        squares,
-        tuple(float(q) for q in q_of @ fit.terms),
-        intervals,
-        kind,
-        form,
-        fit.terms,
-        fit.covariance,
-        h,
-        float(confidence),
-        len(fit.equations.voltage),
-        int((stretch < 0).sum()),
-        fit.residual,
-        None if len(fits) == 1 else fits[1 - best].residual,
-        step,
-        lattice_step(log.position),
-        log.where,
-        fit.equations,
+        rounding_only=certain is not None,
+        least_squares=squares,
+        coefficients=tuple(map(float, q_of @ fit.terms)),  # type: ignore[arg-type]
+        coefficient_intervals=(q0, q1, q2),
+        derivative=kind,
+        form=form,
+        period=h,
+        confidence=float(confidence),
+        samples=len(voltage),
+        saturated=int((stretch < 0).sum()),
+        other_residual=None if len(fits) == 1 else fits[1 - best].residual,
+        voltage_step=step,
+        position_step=lattice_step(log.position),
+        where=log.where,
+        **vars(fit),
     )
 
 
@@ -225,22 +221,16 @@ class GainComparison:
 def compare_gains(first: PidEstimate, second: PidEstimate, *, level: float = 0.01) -> GainComparison:
     """Test of equal gains in two records: gain scheduling, if they were taken at two poses.
 
-    Raises
-    ------
-    ParameterError : estimates of other periods, forms or kinds of derivative, or a level outside
-        (0, 1).
+    Raises ParameterError: estimates of other periods, forms or kinds of derivative, or a level outside (0, 1).
     """
     if not 0.0 < level < 1.0:
         raise ParameterError(f"level {level!r}", expected="a number between 0 and 1")
     kinds = {first.derivative, second.derivative} - {"either"}
     if len(kinds) > 1 or first.form != second.form or abs(first.period - second.period) > 1e-3 * first.period:
-        raise ParameterError(
-            f"{first.where} ({first.period * 1e3:.6g} ms, {first.form}, derivative of "
-            f"{first.derivative}) and {second.where} ({second.period * 1e3:.6g} ms, {second.form}, "
-            f"derivative of {second.derivative})",
-            where="two records",
-            expected="one period, one form and one kind of derivative",
+        what = " and ".join(
+            f"{e.where} ({e.period * 1e3:.6g} ms, {e.form}, derivative of {e.derivative})" for e in (first, second)
         )
+        raise ParameterError(what, where="two records", expected="one period, one form and one kind of derivative")
     change = second.terms - first.terms
     spread = np.sqrt(np.diag(first.covariance + second.covariance))
     scaled = (first.covariance + second.covariance) / np.outer(spread, spread)
@@ -248,13 +238,10 @@ def compare_gains(first: PidEstimate, second: PidEstimate, *, level: float = 0.0
     p_value = float(chdtrc(3.0, statistic))
     possible = None
     if first.rounding_only and second.rounding_only:
-        a, b = first.equations, second.equations
-        steps = np.concatenate(
-            [np.full(len(a.voltage), first.voltage_step), np.full(len(b.voltage), second.voltage_step)]
-        )
-        possible = not Enclosure(
-            joint_rows(a.rows, b.rows, 3), np.concatenate([a.voltage, b.voltage]), steps
-        ).is_empty()
+        both = (first.equations, second.equations)
+        steps = np.repeat([first.voltage_step, second.voltage_step], [len(each.voltage) for each in both])
+        rows, voltage = joint_rows(both[0].rows, both[1].rows, 3), np.concatenate([each.voltage for each in both])
+        possible = not Enclosure(rows, voltage, steps).is_empty()
     different = p_value < level if possible is None else not possible
     return GainComparison(different, statistic, p_value, level, possible)
 
@@ -285,9 +272,8 @@ def _fit(log: ControllerLog, kind: str, stretch: np.ndarray, forgetting: float) 
     covariance += rounding**2 * np.linalg.inv(filter_.information)
     covariance = covariance[:3, :3] / np.outer(length, length)
     residual = sqrt(float(weight @ residuals**2 / weight.sum()))
-    return _Fit(
-        theta[:3] / length, covariance, residual, Equations(np.column_stack([actions, rows[:, 3:]]), log.voltage[used])
-    )
+    equations = Equations(np.column_stack([actions, rows[:, 3:]]), log.voltage[used])
+    return _Fit(theta[:3] / length, covariance, residual, equations)
 
 
 def _actions(log: ControllerLog, kind: str, stretch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -309,7 +295,7 @@ def check_excitation(log: ControllerLog) -> None:
     _check_actions(log, actions, log.voltage[used])
 
 
-def _check_actions(log, actions, voltage) -> None:
+def _check_actions(log: ControllerLog, actions: np.ndarray, voltage: np.ndarray) -> None:
     length = np.linalg.norm(actions, axis=0)
     expected = "a record with motion: several starts and stops, or a path of changing speed"
     if np.ptp(voltage) == 0.0:
@@ -319,12 +305,8 @@ def _check_actions(log, actions, voltage) -> None:
         raise RecordingError("no excitation: the error does not change", where=log.where, expected=expected)
     smallest = float(np.linalg.svd(actions / length, compute_uv=False)[-1])
     if smallest < SINGULAR:
-        raise RecordingError(
-            "no sufficient excitation: the error, its sum and its difference are "
-            "in fixed proportion (a single sinusoid, or a line)",
-            where=log.where,
-            expected=expected,
-        )
+        what = "the error, its sum and its difference are in fixed proportion (a single sinusoid, or a line)"
+        raise RecordingError(f"no sufficient excitation: {what}", where=log.where, expected=expected)
 
 
 def _stretches(log: ControllerLog, limit: float, step: float) -> np.ndarray:
@@ -337,27 +319,9 @@ def _stretches(log: ControllerLog, limit: float, step: float) -> np.ndarray:
     for number, (a, b) in enumerate(kept):
         stretch[a:b] = number
     if not kept or len(kept) > _MOST_STRETCHES:
-        raise RecordingError(
-            f"{int((~inside).sum())} of {len(log)} samples at the limit of {limit:g} V, in {len(kept)} stretches",
-            where=log.where,
-            expected="a record whose voltage is mostly within its limit",
-        )
+        what = f"{int((~inside).sum())} of {len(log)} samples at the limit of {limit:g} V, in {len(kept)} stretches"
+        raise RecordingError(what, where=log.where, expected="a record whose voltage is mostly within its limit")
     return stretch
-
-
-def _kinds(log, derivative, stretch) -> list[str]:
-    if derivative != "auto":
-        return [derivative]
-    used = np.flatnonzero(stretch >= 0)
-    moved = np.diff(log.setpoint)[used[used > 0] - 1]
-    return ["error", "measurement"] if np.any(moved != 0.0) else ["error"]
-
-
-def _spread(equations: Equations) -> float:
-    """Variance of the voltage [V^2] about the means of its stretches."""
-    constants = equations.rows[:, 3:]
-    means = constants.T @ equations.voltage / constants.sum(axis=0)
-    return float(np.mean((equations.voltage - constants @ means) ** 2))
 
 
 def _linear(along: np.ndarray, fit: _Fit, z: float) -> Interval:
@@ -379,30 +343,27 @@ def _ratio(above: np.ndarray, below: np.ndarray, fit: _Fit, z: float) -> Interva
 
 def _integral_time(rate: Interval, h: float) -> Interval:
     """Ti [s] from s/Kg; inf where the rate may be zero."""
-    if rate.high <= 0.0:
-        return Interval(inf, inf, inf)
-    if rate.low <= 0.0:
-        return Interval(inf, h / rate.high, inf)
-    return Interval(h / rate.value, h / rate.high, h / rate.low)
+    low, high = (h / r if r > 0.0 else inf for r in (rate.high, rate.low))
+    return Interval(h / rate.value if rate.low > 0.0 else inf, low, high)
 
 
 def _derivative_time(rate: Interval, h: float) -> Interval:
-    low, value, high = (max(h * r, 0.0) for r in (rate.low, rate.value, rate.high))
-    return Interval(value, low, high)
+    """Td [s] from d/Kg; 0 where the rate may be negative."""
+    return Interval(*(max(h * r, 0.0) for r in (rate.value, rate.low, rate.high)))
 
 
 def _enclosed(
     equations: Equations, step: float, gain_of: np.ndarray, h: float
 ) -> tuple[Interval, Interval, Interval] | None:
     """Certain intervals of Kg, Ti and Td, or None where rounding alone did not make the record."""
-    pad = np.zeros(equations.rows.shape[1] - 3)
     enclosure = Enclosure(equations.rows, equations.voltage, step)
-    below = np.append(gain_of, pad)
+    below, integral_of, derive_of = np.pad(
+        [gain_of, [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], ((0, 0), (0, equations.rows.shape[1] - 3))
+    )
     gain = enclosure.ends(below)
     if gain is None or gain[0] <= 0.0:
         return None
-    integral = enclosure.ratio_ends(np.append([0.0, 1.0, 0.0], pad), below)
-    derive = enclosure.ratio_ends(np.append([0.0, 0.0, 1.0], pad), below)
+    integral, derive = enclosure.ratio_ends(integral_of, below), enclosure.ratio_ends(derive_of, below)
     if integral is None or derive is None:
         return None
     return (_middle(*gain), _integral_time(_middle(*integral), h), _derivative_time(_middle(*derive), h))
@@ -410,14 +371,3 @@ def _enclosed(
 
 def _middle(low: float, high: float) -> Interval:
     return Interval(0.5 * (low + high), low, high)
-
-
-def _check_options(form, derivative, confidence, limit) -> None:
-    if form not in FORMS:
-        raise ParameterError(f"form '{form}'", expected=" or ".join(FORMS))
-    if derivative not in DERIVATIVES:
-        raise ParameterError(f"derivative '{derivative}'", expected=" or ".join(DERIVATIVES))
-    if isinstance(confidence, bool) or not 0.0 < confidence < 1.0:
-        raise ParameterError(f"confidence {confidence!r}", expected="a number between 0 and 1")
-    if not limit > 0.0:
-        raise ParameterError(f"limit {limit!r} V", expected="a positive number")

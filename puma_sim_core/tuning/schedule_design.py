@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""How the tables of `scheduled` are made: from the model by the poles of the loop, or from the
-ultimate gains.
+"""How the tables of `scheduled` are made: from the model by the poles of the loop, or from the ultimate gains.
 
 `placed_gains`, for the servo's rate. One joint moves, its motor without inductance:
 ``(R M / kT) qdd + ke N qd = v``, M its element of D + Ia at the pose, gravity left to the integral
@@ -13,9 +12,11 @@ action. PID gives it three poles at -b with ``Kg = 3 b^2 R M / kT``, ``Ti = 3 / 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from puma_sim_core.arm.rigid_body import inertia
 from puma_sim_core.control.scheduled import GainSchedule
@@ -27,7 +28,7 @@ from puma_sim_core.tuning.ziegler_nichols import ultimate_map
 GENTLE = (0.3, 0.66, 0.09)
 
 
-def placed_gains(plant: Plant, poses, bandwidth: Sequence[float]) -> np.ndarray:
+def placed_gains(plant: Plant, poses: ArrayLike, bandwidth: Sequence[float]) -> np.ndarray:
     """(..., 3 joints, 3) Kg [V/rad], Ti [s], Td [s] at poses (..., 3) [rad].
 
     bandwidth : (3,) [rad/s], b of each joint.
@@ -41,27 +42,26 @@ def placed_gains(plant: Plant, poses, bandwidth: Sequence[float]) -> np.ndarray:
     return np.stack([gain, np.broadcast_to(3.0 / b, gain.shape), np.maximum(3.0 * b * per - own, 0.0) / gain], axis=-1)
 
 
-def ultimate_gains(plant: Plant, poses, period: float, delay: int, shares=GENTLE) -> np.ndarray:
+def ultimate_gains(
+    plant: Plant, poses: ArrayLike, period: float, delay: int, shares: Sequence[float] = GENTLE
+) -> np.ndarray:
     """(..., 3 joints, 3) Kg [V/rad], Ti [s], Td [s] at poses (..., 3) [rad].
 
     period : between samples [s]; delay : in samples.
 
-    Raises
-    ------
-    TuningError : a pose has no ultimate gain.
+    Raises TuningError: a pose has no ultimate gain.
     """
     joints = []
     for joint in (1, 2, 3):
         gain, tp, _ = ultimate_map(plant, joint, poses, period=period, delay=delay)
         if np.isnan(gain).any():
-            raise TuningError(
-                "a pose of the table has no ultimate gain", where=f"joint {joint}", expected="another period or delay"
-            )
+            what = "a pose of the table has no ultimate gain"
+            raise TuningError(what, where=f"joint {joint}", expected="another period or delay")
         joints.append(np.stack([shares[0] * gain, shares[1] * tp, shares[2] * tp], axis=-1))
     return np.stack(joints, axis=-2)
 
 
-def schedule_of(q2, q3, gains_at) -> GainSchedule:
+def schedule_of(q2: Sequence[float], q3: Sequence[float], gains_at: Callable[[np.ndarray], np.ndarray]) -> GainSchedule:
     """The schedule over a grid; gains_at(poses) gives (..., 3, 3), one of the two above.
 
     q2, q3 : angles of the grid [rad]. Columns that are the same everywhere become one number.
@@ -70,7 +70,7 @@ def schedule_of(q2, q3, gains_at) -> GainSchedule:
     poses[..., 1], poses[..., 2] = np.asarray(q2)[:, None], q3
     gains = gains_at(poses)
 
-    def entry(joint, k):
+    def entry(joint: int, k: int) -> Any:
         values = gains[..., joint, k]
         return float(values[0, 0]) if (values == values[0, 0]).all() else values.tolist()
 

@@ -2,22 +2,23 @@
 # Copyright the puma-sim contributors
 """A controller's transfer function with its denominator left free, as section 7.8 estimates it.
 
-``u(k) = -a1 u(k-1) - a2 u(k-2) + q0 e(k) + q1 e(k-1) + q2 e(k-2)``. The voltages on the right are
-the recorded ones: rounded to 12 bits they bring noise into the regressors, and least squares is
-biased. For a PID controller the bias of a1 is small (below 1e-3), but the gains are differences of
-coefficients thirty times larger, and Ti is lost. Instruments that are free of the rounding, the
-noise-free output of a first model, take the bias away (Young 2011, refined instrumental
-variables), at the price of wider intervals; knowing the denominator (`identify_pid`) does better.
+``u(k) = -a1 u(k-1) - a2 u(k-2) + q0 e(k) + q1 e(k-1) + q2 e(k-2)``. The voltages on the right are the recorded ones:
+rounded to 12 bits they bring noise into the regressors, and least squares is biased. For a PID controller the bias of
+a1 is small (below 1e-3), but the gains are differences of coefficients thirty times larger, and Ti is lost. Instruments
+that are free of the rounding, the noise-free output of a first model, take the bias away (Young 2011, refined
+instrumental variables), at the price of wider intervals; knowing the denominator (`identify_pid`) does better.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import ndtri
 
+from puma_sim_core.checks import check_choice
 from puma_sim_core.errors import ParameterError, RecordingError
 from puma_sim_core.tuning.controller_log import ControllerLog
 from puma_sim_core.tuning.least_squares import RecursiveLeastSquares, sandwich, weights
@@ -34,24 +35,19 @@ class ImpliedGains(NamedTuple):
     derivative_time: float
 
 
-def implied_gains(numerator, period: float, *, as_printed: bool = False) -> ImpliedGains:
+def implied_gains(numerator: Iterable[float], period: float, *, as_printed: bool = False) -> ImpliedGains:
     """Gains that equations 7.5 to 7.7 imply for q0, q1, q2 [V/rad] and a period [s].
 
     Kg = q0 - q2, Td = q2 h / Kg, Ti = Kg h / (q0 + q1 + q2); as_printed: from 7.6 without its
     minus, Ti = Kg h / (q0 - q1 + q2).
 
-    Raises
-    ------
-    ParameterError : q0 = q2, or a sum of zero, for which there is no such gain.
+    Raises ParameterError: q0 = q2, or a sum of zero, for which there is no such gain.
     """
     q0, q1, q2 = (float(q) for q in numerator)
     gain, total = q0 - q2, q0 + (-q1 if as_printed else q1) + q2
     if gain == 0.0 or total == 0.0:
-        raise ParameterError(
-            f"q = ({q0:g}, {q1:g}, {q2:g})",
-            where="PID coefficients",
-            expected="q0 other than q2, and a sum other than 0",
-        )
+        expected = "q0 other than q2, and a sum other than 0"
+        raise ParameterError(f"q = ({q0:g}, {q1:g}, {q2:g})", where="PID coefficients", expected=expected)
     return ImpliedGains(gain, gain * period / total, q2 * period / gain)
 
 
@@ -81,7 +77,7 @@ class TransferFunction:
         return poles([a.value for a in self.denominator])
 
 
-def poles(denominator) -> tuple[complex, ...]:
+def poles(denominator: Sequence[float]) -> tuple[complex, ...]:
     """Roots of z^n + a1 z^(n-1) + ... , greatest magnitude first."""
     found = np.roots([1.0, *denominator])
     return tuple(complex(z) for z in sorted(found, key=lambda z: (-abs(z), -z.real, z.imag)))
@@ -106,10 +102,8 @@ def identify_transfer_function(
     RecordingError : the record does not determine the coefficients, or, with instruments, no PID
         explains it.
     """
-    if order not in (1, 2) or isinstance(order, bool):
-        raise ParameterError(f"order {order!r}", expected="1 or 2")
-    if method not in METHODS:
-        raise ParameterError(f"method '{method}'", expected=" or ".join(METHODS))
+    check_choice(order, "order", (1, 2))
+    check_choice(method, "method", METHODS)
     if not 0.0 < confidence < 1.0:
         raise ParameterError(f"confidence {confidence!r}", expected="a number between 0 and 1")
     check_excitation(log)
@@ -119,14 +113,14 @@ def identify_transfer_function(
     filter_ = RecursiveLeastSquares(rows.shape[1], forgetting)
     filter_.update(rows, values)
     if not filter_.determined:
-        raise RecordingError(
-            "no sufficient excitation for a free denominator", where=log.where, expected="a path of changing speed"
-        )
+        what = "no sufficient excitation for a free denominator"
+        raise RecordingError(what, where=log.where, expected="a path of changing speed")
     weight = weights(len(values), filter_.forgetting)
     instruments, theta = rows, filter_.estimate
     if method == "instrumental variables":
         pid = identify_pid(log, derivative="error", forgetting=forgetting, bounds=False)
-        clean = np.concatenate([[np.nan], pid.equations.rows @ _complete(pid)])
+        means = pid.equations.means(pid.equations.voltage - pid.equations.rows[:, :3] @ pid.terms)
+        clean = np.concatenate([[np.nan], pid.equations.rows @ np.concatenate([pid.terms, means])])
         instruments = _rows(log.error, clean, order) / length
         weighted = instruments * weight[:, None]
         theta = np.linalg.solve(weighted.T @ rows, weighted.T @ values)
@@ -147,11 +141,3 @@ def _rows(error: np.ndarray, voltage: np.ndarray, order: int) -> np.ndarray:
     return np.column_stack(
         [*(-voltage[3 - lag : n - lag] for lag in range(1, order + 1)), *(error[3 - lag : n - lag] for lag in range(3))]
     )
-
-
-def _complete(pid) -> np.ndarray:
-    """All parameters of a PID estimate's equations, with the constant."""
-    equations = pid.equations
-    rest = equations.voltage - equations.rows[:, :3] @ pid.terms
-    constants = equations.rows[:, 3:]
-    return np.concatenate([pid.terms, constants.T @ rest / constants.sum(axis=0)])

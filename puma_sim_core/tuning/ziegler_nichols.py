@@ -19,19 +19,22 @@ there is no ultimate gain, and a `TuningError` says so.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import ceil, inf, isfinite, log2, pi
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from puma_sim_core.arm.rigid_body import gravity_torque
+from puma_sim_core.checks import check_choice, check_numbers, check_positive, check_whole
 from puma_sim_core.control.linear import linearised, proportional_loop, radius, sampled
-from puma_sim_core.dynamics.pid import PidGains
-from puma_sim_core.dynamics.servo import ServoConfig
 from puma_sim_core.errors import LimitError, NonFiniteStateError, ParameterError, TuningError
 from puma_sim_core.plant.plant import Plant
-from puma_sim_core.simulation.simulator import SERVO_PERIOD, Constraint, Simulator, three
+from puma_sim_core.servo.pid import PidGains
+from puma_sim_core.servo.servo import ServoConfig
+from puma_sim_core.simulation.simulator import SERVO_PERIOD, Constraint, Simulator
 
 #: default of the greatest gain that is looked at [V/rad]
 GREATEST_GAIN = 1e6
@@ -64,8 +67,7 @@ class Ultimate:
 
 def settings(ultimate: Ultimate, method: str = "PID") -> PidGains:
     """Table 7.2; method : "P", "PI" or "PID". Raises ParameterError for another."""
-    if method not in SETTINGS:
-        raise ParameterError(f"method '{method}'", where="Ziegler-Nichols settings", expected=" or ".join(SETTINGS))
+    check_choice(method, "method", SETTINGS, "Ziegler-Nichols settings")
     kg, ti, td = SETTINGS[method]
     return PidGains(kg * ultimate.gain, ti * ultimate.period, td * ultimate.period)
 
@@ -94,30 +96,22 @@ class Loop:
     period: float = SERVO_PERIOD
     delay: int = 0
 
-    def __post_init__(self):
-        if isinstance(self.joint, bool) or self.joint not in (1, 2, 3):
-            raise ParameterError(f"joint {self.joint!r}", expected="1, 2 or 3")
-        object.__setattr__(self, "pose", three(self.pose, "pose"))
+    def __post_init__(self) -> None:
+        check_choice(self.joint, "joint", (1, 2, 3))
+        object.__setattr__(self, "pose", check_numbers(self.pose, "pose"))
         for j, (q, (low, high)) in enumerate(zip(self.pose, self.plant.arm.joint_ranges), 1):
             if not low <= q <= high:
-                raise LimitError(
-                    f"joint {j} at {np.degrees(q):.6g} deg",
-                    where="pose",
-                    expected=f"{np.degrees(low):.4g} to {np.degrees(high):.4g} deg",
-                )
+                expected = f"{np.degrees(low):.4g} to {np.degrees(high):.4g} deg"
+                raise LimitError(f"joint {j} at {np.degrees(q):.6g} deg", where="pose", expected=expected)
         if not (isfinite(self.period) and 0.0 < self.period <= 1.0):
             raise ParameterError(f"period {self.period!r} s", expected="more than 0 and at most 1 s")
-        if isinstance(self.delay, bool) or not isinstance(self.delay, int) or not 0 <= self.delay <= GREATEST_DELAY:
-            raise ParameterError(f"delay {self.delay!r}", expected=f"a whole number of samples, 0 to {GREATEST_DELAY}")
+        check_whole(self.delay, "delay", 0, GREATEST_DELAY)
 
     def equilibrium(self) -> tuple[float, float]:
         """Voltage [V] and current [A] that hold the joint at its pose."""
         j = self.joint - 1
         current = gravity_torque(self.pose, self.plant.loaded_arm)[j] / self.plant.torque_per_ampere[j]
         return current * self.plant.arm.motors[j].resistance, current
-
-
-# ------------------------------------------------------------------------------------ eigenvalues
 
 
 def ultimate_by_eigenvalues(loop: Loop, *, limit: float = GREATEST_GAIN) -> Ultimate:
@@ -140,7 +134,13 @@ def ultimate_by_eigenvalues(loop: Loop, *, limit: float = GREATEST_GAIN) -> Ulti
 
 
 def ultimate_map(
-    plant: Plant, joint: int, poses, *, period: float = SERVO_PERIOD, delay: int = 0, limit: float = GREATEST_GAIN
+    plant: Plant,
+    joint: int,
+    poses: ArrayLike,
+    *,
+    period: float = SERVO_PERIOD,
+    delay: int = 0,
+    limit: float = GREATEST_GAIN,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """`ultimate_by_eigenvalues` at many poses (..., 3) [rad].
 
@@ -158,13 +158,14 @@ def ultimate_map(
     return _search(plant, joint, poses, period, delay, limit, _COARSE)
 
 
-def _search(plant, joint, poses, period, delay, limit, points):
+def _search(
+    plant: Plant, joint: int, poses: np.ndarray, period: float, delay: int, limit: float, points: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Gain, period and least gain at poses (..., 3); NaN where there is none."""
-    if not (isfinite(limit) and limit > 0.0):
-        raise ParameterError(f"limit {limit!r} V/rad", expected="a positive number")
+    check_positive(limit, "limit", "V/rad")
     f, g = sampled(*linearised(plant, poses, (joint,)), period)
 
-    def stable(gains):
+    def stable(gains: ArrayLike) -> np.ndarray:
         return radius(proportional_loop(f, g, gains, delay)) < 1.0
 
     # free of gravity the joint is at the bound of stability without a gain, and inside with one
@@ -188,7 +189,7 @@ def _search(plant, joint, poses, period, delay, limit, points):
         )
 
 
-def _bisected(is_below, low, high):
+def _bisected(is_below: Callable[[np.ndarray], np.ndarray], low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """The gains between low and high (...) at which `is_below` ends, to 1e-10."""
     ratio = float(np.max(np.abs(np.log(high / low))))
     for _ in range(ceil(log2(max(ratio, 1e-9) / 1e-10))):
@@ -196,9 +197,6 @@ def _bisected(is_below, low, high):
         below = is_below(middle)
         low, high = np.where(below, middle, low), np.where(below, high, middle)
     return np.sqrt(low * high)
-
-
-# ------------------------------------------------------------------------------------- simulation
 
 
 def ultimate_by_simulation(
@@ -214,12 +212,13 @@ def ultimate_by_simulation(
     ------
     TuningError : as `ultimate_by_eigenvalues`.
     """
-    if not (isfinite(limit) and limit > 0.0):
-        raise ParameterError(f"limit {limit!r} V/rad", expected="a positive number")
-    simulator = _locked(loop)
+    check_positive(limit, "limit", "V/rad")
+    held = [Constraint("hold")] * 3
+    held[loop.joint - 1] = Constraint()
+    simulator = Simulator(loop.plant, constraints=held)
     samples = most = ceil(max(400.0, 1.0 / loop.period))
 
-    def grows(gain):
+    def grows(gain: float) -> bool:
         return _grows(_response(simulator, loop, gain, amplitude, samples), samples, amplitude)
 
     high = limit
@@ -236,30 +235,21 @@ def ultimate_by_simulation(
         enough = 2 * samples if period is None else ceil(_PERIODS * period / loop.period)
         if enough > samples:
             if period is None and enough > 64 * most:
-                raise TuningError(
-                    "it falls without oscillating",
-                    where=_place(loop),
-                    expected="an oscillation at the bound of stability",
-                )
+                expected = "an oscillation at the bound of stability"
+                raise TuningError("it falls without oscillating", where=_place(loop), expected=expected)
             samples = enough
             while grows(low) and low > limit / _SPAN:
                 low *= _STRIDE
             while not grows(high) and high < limit:
                 high /= _STRIDE
         elif high / low <= 1.0 + accuracy:
-            return Ultimate(float((low * high) ** 0.5), period)
+            return Ultimate(float((low * high) ** 0.5), period or inf)
         else:
             middle = (low * high) ** 0.5
             low, high = (low, middle) if grows(middle) else (middle, high)
 
 
-def _locked(loop: Loop) -> Simulator:
-    held = [Constraint("hold")] * 3
-    held[loop.joint - 1] = Constraint()
-    return Simulator(loop.plant, constraints=held)
-
-
-def _response(simulator, loop, gain, amplitude, samples) -> np.ndarray:
+def _response(simulator: Simulator, loop: Loop, gain: float, amplitude: float, samples: int) -> np.ndarray:
     """Deviation from the pose [rad] at each sample, up to where it is no longer small."""
     j = loop.joint - 1
     voltage, current = loop.equilibrium()
@@ -268,22 +258,22 @@ def _response(simulator, loop, gain, amplitude, samples) -> np.ndarray:
     setpoint[j] += voltage / gain
     volts, amperes = [0.0] * 3, [0.0] * 3
     volts[j], amperes[j] = voltage, current
-    gains = [PidGains(0.0)] * 3
-    gains[j] = PidGains(gain)
+    first, second, third = (PidGains(gain if k == j else 0.0) for k in range(3))
     simulator.reset(start, current=amperes)
-    servo = ServoConfig(tuple(gains), delay_samples=loop.delay)
+    servo = ServoConfig((first, second, third), delay_samples=loop.delay)
     try:
         run = simulator.run_servo(
             [setpoint], servo, period=samples * loop.period, samples=samples, voltage_limit=inf, held_voltage=volts
         )
     except NonFiniteStateError:
         return np.array([amplitude, inf])
-    deviation = run.position[:, j] - loop.pose[j]
+    position: Any = run.position
+    deviation = position[:, j] - loop.pose[j]
     large = np.flatnonzero(np.abs(deviation) > 100.0 * amplitude)
     return deviation[: large[0] + 1] if large.size else deviation
 
 
-def _grows(deviation, samples, amplitude) -> bool:
+def _grows(deviation: np.ndarray, samples: int, amplitude: float) -> bool:
     """Whether the oscillation is larger at the end than before: smooth windows make the answer
     free of where in its period it is cut off."""
     if len(deviation) <= samples:
@@ -296,7 +286,7 @@ def _grows(deviation, samples, amplitude) -> bool:
     return bool(np.abs(end).max() > 1e-3 * amplitude and end @ end > before @ before)
 
 
-def _period(deviation, step) -> float | None:
+def _period(deviation: np.ndarray, step: float) -> float | None:
     """Period [s] from the upward zero crossings of the last half, None for fewer than three."""
     deviation = deviation[len(deviation) // 2 :]
     if not np.isfinite(deviation).all():
@@ -308,7 +298,7 @@ def _period(deviation, step) -> float | None:
     return float((at[-1] - at[0]) / (len(at) - 1) * step)
 
 
-def _no_ultimate_gain(loop, limit) -> TuningError:
+def _no_ultimate_gain(loop: Loop, limit: float) -> TuningError:
     return TuningError(
         f"no ultimate gain below {limit:g} V/rad: the oscillation dies out up to it",
         where=_place(loop),
@@ -316,7 +306,7 @@ def _no_ultimate_gain(loop, limit) -> TuningError:
     )
 
 
-def _no_stable_gain(loop, limit) -> TuningError:
+def _no_stable_gain(loop: Loop, limit: float) -> TuningError:
     return TuningError(
         f"no proportional gain below {limit:g} V/rad keeps the joint stable",
         where=_place(loop),
@@ -324,6 +314,6 @@ def _no_stable_gain(loop, limit) -> TuningError:
     )
 
 
-def _place(loop) -> str:
+def _place(loop: Loop) -> str:
     pose = ", ".join(f"{q:.4g}" for q in loop.pose)
-    return f"joint {loop.joint} at ({pose}) rad, each {loop.period * 1e3:.4g} ms, {loop.delay} samples of delay"
+    return f"joint {loop.joint} at ({pose}) rad, every {loop.period * 1e3:.4g} ms, {loop.delay} samples of delay"

@@ -20,7 +20,8 @@ from scipy.stats import chi2
 from puma_sim_core.effects import KINDS, Effect
 from puma_sim_core.effects.screening import Illegal
 from puma_sim_core.errors import PumaSimError
-from puma_sim_core.identify.screening.evidence import Bank, Scored
+from puma_sim_core.identify.screening.evidence import Bank
+from puma_sim_core.identify.screening.search import Chosen
 
 _SIGNIFICANT = 0.05
 _MOST = 6
@@ -60,6 +61,9 @@ class _System:
         self.fit = search.base(linear, chosen, bench.retuned.weights)
         self.base = self.fit.base
         self.whitened = self.base.whiten(bank)
+        self.rows = sum(map(len, self.base.y))
+        Ny = sum(N.T @ y for N, y in zip(self.base.N, self.base.y))
+        self.yPy = sum(float(y @ y) for y in self.base.y) - float(Ny @ self.base.scaled)
         self.b = self.whitened.products(self.base.y) - self.whitened.NX.T @ self.base.scaled
 
     def drop(self, columns: np.ndarray, gram: np.ndarray) -> float:
@@ -86,8 +90,8 @@ def _all_at_once(bench, bank: Bank) -> dict:
     inverse = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-9, hermitian=True)
     inverse /= np.outer(scale, scale)
     coefficients = inverse @ system.b[columns]
-    left = system.base.yPy - float(system.b[columns] @ coefficients)
-    variance = max(left, 1e-12) / max(system.base.rows - len(columns), 1)
+    left = system.yPy - float(system.b[columns] @ coefficients)
+    variance = max(left, 1e-12) / max(system.rows - len(columns), 1)
     limit, found, start = _SIGNIFICANT / len(entries), [], 0
     for entry in entries:
         own = slice(start, start + entry.columns.stop - entry.columns.start)
@@ -107,17 +111,17 @@ def _all_at_once(bench, bank: Bank) -> dict:
 def _forward(bench, bank: Bank) -> dict:
     chosen, taken = [], set()
     system = _System(bench, bank)
-    rows = system.base.rows
+    rows = system.rows
     while len(chosen) < _MOST:
         best = None
         for entry in bank.entries:
             if entry.hypothesis in taken:
                 continue
-            left = system.base.yPy - system.drop(
+            left = system.yPy - system.drop(
                 np.arange(entry.columns.start, entry.columns.stop), system.whitened.gram(entry)
             )
             width = entry.columns.stop - entry.columns.start
-            change = rows * np.log(max(left, 1e-12) / system.base.yPy) + width * np.log(rows)
+            change = rows * np.log(max(left, 1e-12) / system.yPy) + width * np.log(rows)
             if best is None or change < best[0]:
                 best = change, entry
         if best is None or best[0] >= 0.0:
@@ -125,17 +129,22 @@ def _forward(bench, bank: Bank) -> dict:
         taken.add(best[1].hypothesis)
         chosen.append(_chosen(bench, bank, best[1]))
         system = _System(bench, bank, chosen)
-    found = [(c.scored.entry, system.fit.of(number)[0]) for number, c in enumerate(chosen)]
+    values = np.split(
+        system.fit.coefficients, len(system.fit.linear.theta) + np.cumsum([0] + [_width(c) for c in chosen])
+    )
+    found = [(c.entry, own) for c, own in zip(chosen, values[1:])]
     return _outcome(bench, bank, system.fit.theta, found)
 
 
 def _chosen(bench, bank: Bank, entry):
     """An entry as part of the model, with no prior to speak of."""
-    name, joint = bank.hypotheses[entry.hypothesis]
     c = entry.candidate
     free = replace(entry, candidate=replace(c, mean=np.zeros(len(c.mean)), deviation=_WIDE * np.asarray(c.deviation)))
-    scored = Scored(name, joint, 0.0, 0.0, free, None, None, None)
-    return bench.search.choose(scored, bank)
+    return Chosen(free, bank.columns_of(entry))
+
+
+def _width(chosen: Chosen) -> int:
+    return len(chosen.entry.candidate.mean)
 
 
 def _outcome(bench, bank: Bank, theta, found) -> dict:

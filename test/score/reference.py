@@ -17,7 +17,7 @@ from puma_sim_core.errors import PumaSimError
 from puma_sim_core.identify.data.ingest import read_log
 from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
 from puma_sim_core.identify.fitting.trials import Trials
-from puma_sim_core.identify.noise import colour
+from puma_sim_core.identify.noise import innovations
 from puma_sim_core.identify.prepare import prepare
 from puma_sim_core.identify.selection.cross_validation import CrossValidation, WeightedModel
 from puma_sim_core.plant.mechanism_file import load_mechanism
@@ -47,12 +47,12 @@ class Bench:
             trials = Trials(predictor, self.problem)
             point = Point(m.clip(true.start), effects)
             raw = predictor.errors(m.plant(point.theta, effects))
-            weighting = predictor.white_weighting(raw)
+            weighting = predictor.unfiltered_weighting(raw)
             for _ in range(2):
                 fitted = PredictionFit(predictor, weighting).run(point, trials.free(point), rounds=_ROUNDS)
                 point = fitted.point
                 model = WeightedModel(fitted, weighting)
-                weighting = colour.weighting(predictor, predictor.errors(m.plant(point.theta, point.effects)))
+                weighting = innovations.weighting(predictor, predictor.errors(m.plant(point.theta, point.effects)))
             return {"held_out": _finite(self.folds.position_rms(model)), "unseen": _finite(self.folds.unseen(point))}
         except PumaSimError:
             return {"held_out": None, "unseen": None}

@@ -2,22 +2,19 @@
 # Copyright the puma-sim contributors
 """A joint whose link does not follow its motor exactly: laws of its drive train, and what they cost in volts.
 
-A spring divides a joint in two masses. `motor_share` of its motor's inertia Ia turns with the rotor, the rest with
-the link; position, velocity and friction stay those of the rotor (over the gear ratio), which is what an encoder on
-the motor measures, and the link has a position of its own. `dynamics.two_mass` integrates both. All laws are at the
-joint, torques positive when the rotor pushes the link forward.
+A spring divides a joint in two masses. `motor_share` of its motor's inertia Ia turns with the rotor, the rest with the
+link; position, velocity and friction stay those of the rotor (over the gear ratio), and the link has a position of its
+own. `dynamics.two_mass` integrates both. All laws are at the joint, torques positive when the rotor pushes the link.
 """
-
-from __future__ import annotations
 
 from math import cos, sin
 
 import numpy as np
 
-from puma_sim_core.effects.base import Parameter, Role
-from puma_sim_core.effects.screening import Signals
+from puma_sim_core.effects.base import STRUCTURE, Parameter
+from puma_sim_core.effects.screening import ByJoint, Signals
 from puma_sim_core.effects.shared.columns import torque_volts
-from puma_sim_core.jit import inlined
+from puma_sim_core.jit import Table, Vec, inlined
 
 #: part of Ia that turns with the rotor
 _MOTOR_SHARE = 0.7
@@ -27,9 +24,9 @@ MOTOR_SHARE = Parameter(
     0.05,
     1.0,
     "part of Ia that turns with the rotor, the rest turns with the link",
+    STRUCTURE,
     neutral=1.0,
     default=_MOTOR_SHARE,
-    role=Role.STRUCTURE,
 )
 #: time [s] over which the torque that a stretch begins with is averaged
 _BEGINNING = 0.02
@@ -49,19 +46,19 @@ def in_series(springs: list[tuple[float, float]]) -> tuple[float, float]:
 
 
 @inlined
-def is_soft(p, k):
+def is_soft(p: Table, k: int) -> bool:
     """Whether link and rotor are two masses; k is where the joint's train starts in p."""
     return p[k + _SOFT] != 0.0
 
 
 @inlined
-def rotor_inertia(p, k):
+def rotor_inertia(p: Table, k: int) -> float:
     """What turns with the rotor of a soft joint, or all of Ia [kg.m^2]."""
     return p[k + _INERTIA]
 
 
 @inlined
-def gear_output(p, k, q):
+def gear_output(p: Table, k: int, q: float) -> Vec:
     """(u, du/dq, d2u/dq2) of the gear's output angle u [rad] at the motor's q."""
     amplitude = p[k + _AMPLITUDE]
     if amplitude == 0.0:
@@ -73,7 +70,7 @@ def gear_output(p, k, q):
 
 
 @inlined
-def transmitted(p, k, twist, rate):
+def transmitted(p: Table, k: int, twist: float, rate: float) -> float:
     """Torque [N.m] that the rotor gives a soft joint's link: twist = u - ql [rad], its rate.
 
     Teeth push and never pull: where the damping would make them, they give nothing.
@@ -89,7 +86,7 @@ def transmitted(p, k, twist, rate):
 
 
 @inlined
-def twist_under(p, k, torque):
+def twist_under(p: Table, k: int, torque: float) -> float:
     """Twist u - ql [rad] at which a soft joint at rest bears `torque` [N.m]."""
     half = p[k + _HALF_GAP]
     if torque < 0.0:
@@ -101,20 +98,17 @@ def link_side(signals: Signals, joint: int) -> tuple[np.ndarray, np.ndarray]:
     """Inertia (n,) [kg.m^2] on the link's side, and the torque (n,) [N.m] that moves it rigidly."""
     beside = (1.0 - _MOTOR_SHARE) * float(signals.motor_inertia[joint])
     inertia = signals.link_inertia[:, joint] + beside
-    least = 0.05 * float(np.abs(inertia).max())
     torque = signals.link_torque[:, joint] + beside * signals.acceleration[:, joint]
-    return np.maximum(inertia, least), torque
+    return np.maximum(inertia, 0.05 * float(np.abs(inertia).max())), torque
 
 
-def on_links(signals: Signals, joint: int, torque: np.ndarray, inertia: np.ndarray) -> dict[int, np.ndarray]:
-    """Voltages of a torque that the joint's link gets besides the rigid one; its acceleration,
-    torque / inertia, shakes the other joints."""
+def on_links(signals: Signals, joint: int, torque: np.ndarray, inertia: np.ndarray) -> ByJoint:
+    """Voltages of a torque that the joint's link gets besides the rigid one; its acceleration, torque / inertia, shakes
+    the other joints."""
     found = {joint: torque_volts(signals, joint, torque)}
     if signals.inertia is not None:
-        for i in range(signals.joints):
-            if i != joint:
-                shaken = signals.inertia[:, i, joint] / inertia * torque
-                found[i] = torque_volts(signals, i, shaken)
+        for i in [*range(joint), *range(joint + 1, signals.joints)]:
+            found[i] = torque_volts(signals, i, signals.inertia[:, i, joint] / inertia * torque)
     return found
 
 

@@ -3,21 +3,30 @@
 """Dry friction on machines: coordinates in which its parameters are independent, and priors of these.
 
 The level of a joint's dry friction may be anything up to its nominal friction and more; its shape scales with the
-level. So a shape costs as much where friction is weak as where it is strong. Each function gives (coordinate, mean of
-its prior, standard deviation).
+level. So a shape costs as much where friction is weak as where it is strong. Each prior is (coordinate, mean, standard
+deviation).
 """
-
-from __future__ import annotations
 
 import numpy as np
 
+from puma_sim_core.effects.base import Parameter
 from puma_sim_core.effects.screening import Signals
-from puma_sim_core.effects.shared.columns import smooth_sign
+from puma_sim_core.effects.shared.columns import positive, smooth_sign
 
 #: more times the nominal friction torque than any friction of a machine
-MOST = 12.0
+_MOST = 12.0
 #: most deviations that one counts as: machines are not quite Gaussian
 _FARTHEST = 3.0
+
+
+def level_parameter(name: str, meaning: str, default: float | None = None, least: float = 0.4) -> Parameter:
+    """A level of dry friction as a parameter of an effect."""
+    return Parameter(name, "N.m", 0.0, 500.0, meaning, plausible=(least, 40.0), default=default)
+
+
+def level(torque: float, what: str, scale: float) -> float:
+    """A fitted level [N.m], where a machine of nominal friction `scale` [N.m] may have it; Illegal otherwise."""
+    return positive(torque, what, "N.m", _MOST * scale)
 
 
 def direction_of(signals: Signals, joint: int) -> np.ndarray:

@@ -1,10 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""Grids of limits that a log exceeds, and what lies beyond a limit."""
+"""Limits: the law of a quantity that is clipped, and candidates of the limits that a log exceeds."""
 
-from __future__ import annotations
+from collections.abc import Callable
 
 import numpy as np
+
+from puma_sim_core.effects.screening import VOLTAGE_COLUMN, Candidate
+from puma_sim_core.effects.shared.columns import candidate, on_joint, visible
+from puma_sim_core.jit import Table, inlined
 
 #: shares of the samples that lie beyond a limit, for the grids of limits
 _BEYOND = (0.003, 0.008, 0.016, 0.03, 0.055, 0.09, 0.14, 0.2, 0.28, 0.38, 0.5)
@@ -12,14 +16,44 @@ _BEYOND = (0.003, 0.008, 0.016, 0.03, 0.055, 0.09, 0.14, 0.2, 0.28, 0.38, 0.5)
 SHARP = 0.05
 
 
+@inlined
+def clipped(p: Table, k: int, value: float) -> float:
+    """The value [V or A] within the limit."""
+    if abs(value) <= p[k]:
+        return value
+    return p[k] if value > 0.0 else -p[k]
+
+
 def beyond(values: np.ndarray, limit: float) -> np.ndarray:
     """The part of `values` that exceeds a limit in magnitude."""
     return values - np.clip(values, -limit, limit)
 
 
-def limits_of(values: np.ndarray) -> list[tuple[float, float]]:
-    """Limits that the magnitude of `values` exceeds for a while, each with the reach of its
-    neighbours: a second column moves the limit within it."""
+def limit_candidates(
+    joint: int, volts: np.ndarray, sharp: float, name: str, legal: Callable[[float], float], unit: float = 1.0
+) -> list[Candidate]:
+    """What exceeds a limit with coefficient 1, and its change per volt of the limit, for a grid of limits [V].
+
+    name : of the parameter; legal : limit over unit -> its legal value.
+    """
+
+    def at(limit: float, reach: float) -> Candidate:
+        excess = beyond(volts, limit)
+        return candidate(
+            on_joint(joint, excess, -np.sign(excess)),
+            [1.0, 0.0],
+            [sharp, reach],
+            lambda c, **_: {name: legal((limit + c[1]) / unit)},
+            {name: limit / unit},
+            VOLTAGE_COLUMN,
+            fixed=True,
+        )
+
+    return visible(at(limit, reach) for limit, reach in _limits_of(volts))
+
+
+def _limits_of(values: np.ndarray) -> list[tuple[float, float]]:
+    """Limits that `values` exceeds for a while, each with the reach in which a second column moves it."""
     magnitude = np.abs(values)
     levels = np.quantile(magnitude, 1.0 - np.asarray(_BEYOND))
     # a signal that is itself clipped ends in a level that it never exceeds

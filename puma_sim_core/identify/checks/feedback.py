@@ -2,14 +2,14 @@
 # Copyright the puma-sim contributors
 """Whether feedback in the recording makes a delay or an elasticity out of noise.
 
-Under position control the voltage answers to the noise of the measured position and to what pushes
-the joint. Regressors that are made of the voltage's or the acceleration's fast part are then
-correlated with the residual, and their coefficients are biased. The test is that of Durbin, Wu and
-Hausman (Hausman 1978, Econometrica 46:1251): what the instruments do not predict of the regressor
-is added as a regressor of its own; if that one matters, the regressor is not exogenous.
+Under position control the voltage answers to the noise of the measured position and to what pushes the joint.
+Regressors made of the voltage's or the acceleration's fast part are then correlated with the residual, and their
+coefficients are biased. The test is that of Durbin, Wu and Hausman (Hausman 1978, Econometrica 46:1251): what the
+instruments do not predict of the regressor is added as a regressor of its own; if that one matters, the regressor is
+not exogenous.
 
-Instruments are the setpoints with their derivatives, and, in a log without setpoints, voltages and
-positions older than the noise remembers.
+Instruments are the setpoints with their derivatives, or, in a log without setpoints, voltages and positions older than
+the correlation time of the noise.
 """
 
 from __future__ import annotations
@@ -17,12 +17,15 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import chi2
 
+from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.data import filters
 from puma_sim_core.identify.result import FeedbackBias
+from puma_sim_core.identify.screening.problem import Problem
+from puma_sim_core.identify.screening.search import Fit
 from puma_sim_core.identify.settings import CHECKS
 
 
-def instruments(problem, joint: int) -> tuple[np.ndarray, str]:
+def instruments(problem: Problem, joint: int) -> tuple[Floats, str]:
     """(m, k) instruments of one joint at the kept rows, and what they are."""
     s = problem.sampled
     if s.setpoint is not None and np.ptp(s.setpoint[:, joint]) > 0.0:
@@ -30,16 +33,15 @@ def instruments(problem, joint: int) -> tuple[np.ndarray, str]:
     else:
         source = np.column_stack([s.voltage[:, joint], s.position[:, joint]])
         first, name = CHECKS.feedback_forgotten, "voltages and positions older than the noise"
-    columns = []
+    shifts = [int(round((first + age) / s.step)) for age in CHECKS.feedback_ages]
+    logs = []
     for rows in s.stretches:
-        parts = []
         derivatives = filters.low_pass(source[rows], s.step, s.cutoffs[1], (0, 1, 2, 3))
-        for age in CHECKS.feedback_ages:
-            shift = int(round((first + age) / s.step))
-            for d in derivatives:
-                parts.append(np.vstack([np.repeat(d[:1], shift, axis=0), d[: len(d) - shift]]))
-        columns.append(np.hstack(parts))
-    Z = np.vstack(columns)[problem.kept]
+        late = [
+            np.vstack([np.repeat(d[:1], shift, axis=0), d[: len(d) - shift]]) for shift in shifts for d in derivatives
+        ]
+        logs.append(np.hstack(late))
+    Z = np.vstack(logs)[problem.kept]
     Z = Z - Z.mean(axis=0)
     size = np.linalg.norm(Z, axis=0)
     Z = Z[:, size > 0.0] / size[size > 0.0]
@@ -48,20 +50,15 @@ def instruments(problem, joint: int) -> tuple[np.ndarray, str]:
     return U[:, values > 1e-6 * values[0]], name
 
 
-def test(problem, fit) -> FeedbackBias:
-    """The test at each joint, for the rate of the commanded voltage.
-
-    fit : the model with all that was found in it (`search.Fit`).
-    """
+def test(problem: Problem, fit: Fit) -> FeedbackBias:
+    """The test at each joint, for the rate of the commanded voltage. fit : the model with all that was found in it."""
     s = problem.sampled
     rate = s.second(s.voltage, order=1)[problem.kept]
     statistic = np.zeros(s.joints)
     name = ""
-    for j in range(s.joints):
-        w = fit.whiteners[j]
+    for j, (whitener, N, e) in enumerate(zip(fit.base.whiteners, fit.base.N, fit.base.innovations())):
         Z, name = instruments(problem, j)
-        x, Zw = w(rate[:, j]), w(Z)
-        N, e = fit.base.N[j], fit.base.innovations()[j]
+        x, Zw = whitener(rate[:, j]), whitener(Z)
         unexplained = x - Zw @ np.linalg.lstsq(Zw, x, rcond=None)[0]
         X = np.column_stack([x, unexplained])
         size = np.linalg.norm(X, axis=0)
@@ -78,12 +75,11 @@ def test(problem, fit) -> FeedbackBias:
         covariance = np.linalg.inv(G) * max(1.0, float((e**2).mean()))
         statistic[j] = b[1] ** 2 / covariance[1, 1]
     p_value = chi2.sf(statistic, 1)
-    biased = bool((p_value < CHECKS.feedback_significance).any())
     joints = ", ".join(str(j + 1) for j in np.flatnonzero(p_value < CHECKS.feedback_significance))
     sentence = (
-        f"Feedback shows in the voltage of joint {joints}: a delay or an elasticity found "
-        f"here may be made by it; a dither on the voltage would tell."
-        if biased
+        f"Feedback shows in the voltage of joint {joints}: a delay or an elasticity found here may come from it; "
+        "a dither on the voltage would tell."
+        if joints
         else "No sign that feedback biases a delay or an elasticity."
     )
-    return FeedbackBias(statistic, p_value, biased, name, sentence)
+    return FeedbackBias(statistic, p_value, bool(joints), name, sentence)

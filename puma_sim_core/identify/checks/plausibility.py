@@ -1,39 +1,54 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""How much of a log's voltage the nominal model can explain at all, coarsely and robustly.
+"""How much of a log's voltage the nominal model can explain, coarsely and robustly.
 
-The slow part of each joint's voltage is split as the model says, V = k (inertial + gravity torque)
-+ (emf + k H) qd, each part with a factor, and terms that stand for friction, offsets, springs,
-drag, stops and loads. All factors are confined to what wrong parameters and the effects of the
-library can make of them, so that what is left over is more than any of them explains. Rows where a
-joint rests do not count for it: dry friction may hold it there.
+The slow part of each joint's voltage is split as the model says, V = k (inertial + gravity torque) + (emf + k H) qd,
+each part with a factor, and terms for friction, offsets, springs, drag, stops and loads. All factors are bounded by
+what wrong parameters and the effects of the library can make of them: the residual is more than any of them explains.
+Rows where a joint rests do not count for it: dry friction may hold it there.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import lsq_linear
 
+from puma_sim_core.identify.arrays import Bools, Floats
 from puma_sim_core.identify.data import filters
+from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.settings import CHECKS
+from puma_sim_core.plant.mechanism import Mechanism
 
 #: place of the column of dry friction, before that of friction that grows with the weight
 _DRY_COLUMN = 4
 
 
 @dataclass(frozen=True)
-class Coarse:
-    """Slow part of a log: (n, J) voltage and its change by time, position, velocity, acceleration,
-    and enable from 0.0 to 1.0; step [s]."""
+class Change:
+    """A change of a log: positions in another order, times `scale`, plus `offset`; voltages in another order, times
+    `volts`; time times `clock`. scale, offset, volts : (J,) or one."""
 
-    voltage: np.ndarray
-    voltage_rate: np.ndarray
-    position: np.ndarray
-    velocity: np.ndarray
-    acceleration: np.ndarray
-    enable: np.ndarray
+    positions: tuple[int, ...] | None = None
+    scale: Floats | float = 1.0
+    offset: Floats | float = 0.0
+    voltages: tuple[int, ...] | None = None
+    volts: Floats | float = 1.0
+    clock: float = 1.0
+
+
+@dataclass(frozen=True)
+class Coarse:
+    """Slow part of a log, (n, J): voltage and its derivative, motion, enable from 0.0 to 1.0; step [s]."""
+
+    voltage: Floats
+    voltage_rate: Floats
+    position: Floats
+    velocity: Floats
+    acceleration: Floats
+    enable: Floats
     step: float
 
     @property
@@ -41,51 +56,48 @@ class Coarse:
         """Number of joints."""
         return self.position.shape[1]
 
-    def changed(self, *, positions=None, scale=1.0, offset=0.0, voltages=None, volts=1.0, clock: float = 1.0) -> Coarse:
-        """With position columns in another order, times `scale`, plus `offset`; voltage columns in
-        another order, times `volts`; and time times `clock`. scale, offset, volts: (J,) or one."""
-        p = slice(None) if positions is None else list(positions)
-        v = slice(None) if voltages is None else list(voltages)
+    @property
+    def enabled(self) -> Bools:
+        """(n, J) whether a drive is on."""
+        return self.enable > CHECKS.plausibility_enabled
+
+    def changed(self, change: Change) -> Coarse:
+        """The log with a change."""
+        p = slice(None) if change.positions is None else list(change.positions)
+        v = slice(None) if change.voltages is None else list(change.voltages)
         return replace(
             self,
-            voltage=self.voltage[:, v] * volts,
-            voltage_rate=self.voltage_rate[:, v] * volts / clock,
-            position=self.position[:, p] * scale + offset,
-            velocity=self.velocity[:, p] * scale / clock,
-            acceleration=self.acceleration[:, p] * scale / clock**2,
+            voltage=self.voltage[:, v] * change.volts,
+            voltage_rate=self.voltage_rate[:, v] * change.volts / change.clock,
+            position=self.position[:, p] * change.scale + change.offset,
+            velocity=self.velocity[:, p] * change.scale / change.clock,
+            acceleration=self.acceleration[:, p] * change.scale / change.clock**2,
         )
 
     def thinned(self, rows: int) -> Coarse:
-        """With every so many rows left out that there are about `rows`."""
+        """About so many rows, evenly spaced."""
         every = max(1, len(self.voltage) // rows)
-        return replace(
-            self,
-            step=self.step * every,
-            **{
-                name: getattr(self, name)[::every]
-                for name in ("voltage", "voltage_rate", "position", "velocity", "acceleration", "enable")
-            },
-        )
+        arrays = {name: a[::every] for name, a in vars(self).items() if name != "step"}
+        return Coarse(**arrays, step=self.step * every)
 
 
-def coarse(log, cutoff: float = CHECKS.plausibility_cutoff) -> Coarse | None:
-    """The part of a log below `cutoff` [Hz]; None where it is too short or too uneven for one. Its
-    numbers must be finite and its times increase."""
+def coarse(log: Log, cutoff: float = CHECKS.plausibility_cutoff) -> Coarse | None:
+    """The part of a log below `cutoff` [Hz], None of a too short or uneven one; finite numbers and increasing times."""
     step = float(np.median(np.diff(log.time)))
-    length = float(log.time[-1] - log.time[0])
     cutoff = min(cutoff, 0.2 / step)
-    n = int(length / step) + 1
-    if length < 4.0 * filters.edge(cutoff) or n > 4 * len(log):
+    n = int(log.span / step) + 1
+    if log.span < 4.0 * filters.edge(cutoff) or n > 4 * len(log):
         return None
     at = log.time[0] + step * np.arange(n)
-    enable = np.ones(log.voltage.shape) if log.enable is None else log.enable
+    on = np.ones(log.voltage.shape) if log.enable is None else log.enable
 
-    def even(values):
-        return np.column_stack([np.interp(at, log.time, column) for column in values.T])
+    def low_pass(values: Floats, *orders: int) -> list[Floats]:
+        even = np.column_stack([np.interp(at, log.time, column) for column in values.T])
+        return filters.low_pass(even, step, cutoff, orders)
 
-    volts, rate = filters.low_pass(even(np.where(enable > 0.5, log.voltage, 0.0)), step, cutoff, (0, 1))
-    (enable,) = filters.low_pass(even(enable), step, cutoff)
-    q, qd, qdd = filters.low_pass(even(log.position), step, cutoff, (0, 1, 2))
+    volts, rate = low_pass(np.where(on > 0.5, log.voltage, 0.0), 0, 1)
+    q, qd, qdd = low_pass(log.position, 0, 1, 2)
+    (enable,) = low_pass(on, 0)
     margin = int(0.5 * filters.edge(cutoff) / step)
     every = max(1, int(0.15 / (cutoff * step)), (n - 2 * margin) // CHECKS.plausibility_rows)
     rows = slice(margin, n - margin, every)
@@ -94,25 +106,24 @@ def coarse(log, cutoff: float = CHECKS.plausibility_cutoff) -> Coarse | None:
 
 @dataclass(frozen=True)
 class Fit:
-    """One joint's voltage: how many rows counted (0: the joint rests); root mean squares of what
-    is left over and of the voltage about its mean [V]; volts of dry friction, None of a joint that
-    rests; residual (n,) [V], counted (n,)."""
+    """One joint's voltage: how many rows counted (0: the joint rests); root mean squares of the residual and of the
+    voltage about its mean [V]; volts of dry friction, None of a joint that rests; residual (n,) [V], counted (n,)."""
 
     rows: int
     left: float
     scale: float
     dry: float | None
-    residual: np.ndarray
-    counted: np.ndarray
+    residual: Floats
+    counted: Bools
 
 
 class Plausibility:
     """Fits of the nominal model to coarse series; see the module.
 
-    unit (J,) : volts of a middling friction; speed (J,) : emf + k H [V.s/rad].
+    unit (J,) : volts of the nominal friction; speed (J,) : emf + k H [V.s/rad].
     """
 
-    def __init__(self, mechanism):
+    def __init__(self, mechanism: Mechanism):
         self.mechanism = mechanism
         self.theta = mechanism.start
         self.drive = drive = mechanism.drive(self.theta)
@@ -120,7 +131,7 @@ class Plausibility:
         self.unit = self.k * np.asarray(mechanism.torque_scale, dtype=float)
         self.speed = drive.emf + self.k * drive.viscous
 
-    def moving(self, c: Coarse, joint: int) -> np.ndarray:
+    def moving(self, c: Coarse, joint: int) -> Bools:
         """(n,) where a joint moves under power."""
         speed = np.abs(c.velocity[:, joint])
         slow = (self.speed[joint] * speed < CHECKS.plausibility_slow * self.unit[joint]) | (
@@ -128,67 +139,62 @@ class Plausibility:
         )
         reach = max(1, int(0.5 / (CHECKS.plausibility_cutoff * c.step)))
         near = np.convolve(slow, np.ones(2 * reach + 1), "same") > 0.5
-        return ~near & (c.enable[:, joint] > 0.99)
+        return ~near & c.enabled[:, joint]
 
-    def fit(self, c: Coarse, joint: int, without: np.ndarray | None = None, parts=None) -> Fit:
-        """The best that confined factors make of one joint's voltage; rows `without` (n,) do not
-        count; parts : `torques` of c."""
-        parts = parts or self.torques(c)
-        columns, low, high = self._columns(c, joint, *parts)
+    def fit(
+        self, c: Coarse, joint: int, without: Bools | None = None, torques: tuple[Floats, Floats] | None = None
+    ) -> Fit:
+        """The best that bounded factors make of one joint's voltage. without (n,) : rows that do not count; torques :
+        `torques` of c."""
+        torque, weight = torques or self.torques(c)
+        columns, low, high = self._columns(c, joint, torque, weight)
         counted = self.moving(c, joint)
         if without is not None:
             counted &= ~without
-        volts, unit = c.voltage[:, joint], self.unit[joint]
         if counted.sum() < 2 * columns.shape[1]:
-            return self._at_rest(c, joint, parts[0])
+            return self._at_rest(c, joint, torque)
+        volts = c.voltage[:, joint]
         sizes = np.sqrt(np.mean(columns[counted] ** 2, axis=0)) + 1e-12
         table, wanted = columns[counted] / sizes, volts[counted]
         # a triangle of the same normal equations: quick for any number of rows
-        triangle = np.linalg.qr(np.column_stack([table, wanted]), mode="r")
+        triangle = np.asarray(np.linalg.qr(np.column_stack([table, wanted]), mode="r"))
         x = lsq_linear(triangle[:, :-1], triangle[:, -1], (low * sizes, high * sizes), method="bvls").x / sizes
-        residual = volts - columns @ x
-        dry = unit * x[_DRY_COLUMN] + x[_DRY_COLUMN + 1] * float(np.abs(columns[counted, _DRY_COLUMN + 1]).max())
-        return Fit(
-            int(counted.sum()), _rms(residual[counted]), float(np.std(wanted)), float(max(dry, 0.0)), residual, counted
-        )
+        residual, heaviest = volts - columns @ x, float(np.abs(columns[counted, _DRY_COLUMN + 1]).max())
+        dry = float(max(self.unit[joint] * x[_DRY_COLUMN] + x[_DRY_COLUMN + 1] * heaviest, 0.0))
+        return Fit(int(counted.sum()), _rms(residual[counted]), float(np.std(wanted)), dry, residual, counted)
 
-    def torques(self, c: Coarse) -> tuple[np.ndarray, np.ndarray]:
+    def torques(self, c: Coarse) -> tuple[Floats, Floats]:
         """(n, J) torque of the links, and the part of gravity."""
-        return (
-            self.mechanism.torque(self.theta, c.position, c.velocity, c.acceleration),
-            self.mechanism.gravity(self.theta, c.position),
-        )
+        torque = self.mechanism.torque(self.theta, c.position, c.velocity, c.acceleration)
+        return torque, self.mechanism.gravity(self.theta, c.position)
 
-    def _at_rest(self, c: Coarse, joint: int, torque: np.ndarray) -> Fit:
-        """A joint that does not move: volts beyond those that friction holds are left over."""
-        counted = c.enable[:, joint] > 0.99
-        beyond = c.voltage[:, joint] - self.k[joint] * torque[:, joint]
-        beyond = np.sign(beyond) * np.maximum(np.abs(beyond) - CHECKS.plausibility_held * self.unit[joint], 0.0)
+    def _at_rest(self, c: Coarse, joint: int, torque: Floats) -> Fit:
+        """A joint that does not move: volts beyond those that friction holds are the residual."""
+        counted = c.enabled[:, joint]
+        held = CHECKS.plausibility_held * self.unit[joint]
+        beyond = soft_threshold(c.voltage[:, joint] - self.k[joint] * torque[:, joint], held)
         if not counted.any():
             return Fit(0, 0.0, 0.0, None, beyond, counted)
         return Fit(0, _rms(beyond[counted]), float(np.std(c.voltage[counted, joint])), None, beyond, counted)
 
-    def _columns(self, c: Coarse, joint: int, torque: np.ndarray, weight: np.ndarray):
+    def _columns(self, c: Coarse, joint: int, torque: Floats, weight: Floats) -> tuple[Floats, Floats, Floats]:
         """Columns (n, p) [V] of a joint's voltage, and the bounds (p,) of their factors."""
         k, unit = self.k[joint], self.unit[joint]
         q, v = c.position[:, joint], c.velocity[:, joint]
-        gravity = k * weight
-        inertial = k * (
-            torque[:, joint] - weight[:, joint] + self.drive.motor_inertia[joint] * c.acceleration[:, joint]
-        )
-        speed = self.speed[joint] * v
+        gravity, speed, inertia = k * weight, self.speed[joint] * v, self.drive.motor_inertia[joint]
+        inertial = k * (torque[:, joint] - weight[:, joint] + inertia * c.acceleration[:, joint])
         fastest, reach = float(np.abs(v).max()) or 1.0, float(np.ptp(q)) or 1.0
         sign = np.tanh(v / (CHECKS.plausibility_dry_width * fastest))
-        factor = CHECKS.plausibility_emf if self.drive.emf[joint] > 0.0 else CHECKS.plausibility_inertial
-        listed = [
+        offset = (-CHECKS.plausibility_offset, CHECKS.plausibility_offset)
+        listed: list[tuple[Floats, tuple[float, float]]] = [
             (inertial, CHECKS.plausibility_inertial),
             (gravity[:, joint], CHECKS.plausibility_gravity),
-            (speed, factor),
+            (speed, CHECKS.plausibility_emf if self.drive.emf[joint] > 0.0 else CHECKS.plausibility_inertial),
             (speed * np.abs(v) / fastest, CHECKS.plausibility_drag),
             (unit * sign, CHECKS.plausibility_dry),
-            (np.abs(gravity[:, joint]) * sign, (0.0, 0.5)),
-            (np.full(len(v), unit), (-CHECKS.plausibility_offset, CHECKS.plausibility_offset)),
-            (unit * (q - q.mean()) / reach, (-CHECKS.plausibility_offset, CHECKS.plausibility_offset)),
+            (np.abs(gravity[:, joint]) * sign, CHECKS.plausibility_loaded),
+            (np.full(len(v), unit), offset),
+            (unit * (q - q.mean()) / reach, offset),
         ]
         for share in CHECKS.plausibility_stops:
             listed.append((unit * np.maximum(q - (q.max() - share * reach), 0.0) / reach, (0.0, np.inf)))
@@ -203,20 +209,24 @@ class Plausibility:
         return np.column_stack(columns), np.array(low), np.array(high)
 
     def share(self, fit: Fit, joint: int, floor: float = CHECKS.plausibility_floor) -> float:
-        """Share of a joint's voltage that is left over; one that is smaller than `floor` times
-        the volts of a middling friction counts as that."""
+        """Share of a joint's voltage that is not explained; `floor` times the nominal friction's volts is the least."""
         unit = self.unit[joint]
         return float(np.hypot(fit.left, CHECKS.plausibility_noise * unit) / np.hypot(fit.scale, floor * unit))
 
     def fits(self, c: Coarse) -> list[Fit]:
         """`fit` of each joint."""
-        parts = self.torques(c)
-        return [self.fit(c, joint, parts=parts) for joint in range(c.joints)]
+        torques = self.torques(c)
+        return [self.fit(c, joint, torques=torques) for joint in range(c.joints)]
 
-    def shares(self, fits: list[Fit], floor: float = CHECKS.plausibility_floor) -> np.ndarray:
+    def shares(self, fits: Sequence[Fit], floor: float = CHECKS.plausibility_floor) -> Floats:
         """(J,) `share` of each joint."""
         return np.array([self.share(fit, joint, floor) for joint, fit in enumerate(fits)])
 
 
-def _rms(values: np.ndarray) -> float:
+def soft_threshold(values: Floats, limit: float) -> Floats:
+    """Values (n,) less a limit of their magnitude, 0 within it."""
+    return np.sign(values) * np.maximum(np.abs(values) - limit, 0.0)
+
+
+def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))

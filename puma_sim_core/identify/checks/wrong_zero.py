@@ -2,38 +2,37 @@
 # Copyright the puma-sim contributors
 """A fault that only the trials show: a joint whose zero is wrong by more than any sensor's.
 
-The gate sees such an offset where it makes the weight of the links wrong by much. A smaller one can
-hide in the priors of the parameters until the model is fitted: then an encoder offset explains the
-log better than any effect does, and is larger than one can be.
+The gate sees such an offset where it makes the weight of the links wrong by much. A smaller one can hide in the priors
+of the parameters until the model is fitted: then an encoder offset explains the log better than any effect does, and is
+larger than one can be.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from puma_sim_core.identify.result import Fault
+from puma_sim_core.identify.selection.state import Stage
 from puma_sim_core.identify.settings import CHECKS
 
 
-def wrong_zeros(stages) -> list[Fault]:
-    """Faults of positions by the stages of a selection."""
-    found = []
+def wrong_zeros(stages: Iterable[Stage]) -> list[Fault]:
+    """Faults of positions by the stages of a selection, those of the first stage that has any."""
     for stage in stages:
         best = max((t.gain for t in stage.trials if t.problem is None), default=0.0)
-        for trial in stage.trials:
-            if (
-                trial.fitted is not None
-                and trial.fitted.point.effects[-1].kind.shifts_zero
-                and trial.problem is not None
-                and trial.gain > max(best, stage.needed(trial.joint)) + CHECKS.zero_clearer
-            ):
-                angle = trial.fitted.point.effects[-1].values["angle"]
-                found.append(
-                    Fault(
-                        f"position{trial.joint}",
-                        None,
-                        f"it is offset by about {angle:.2g} rad, which explains the log better than "
-                        "any effect; expected an encoder offset of a few hundredths at most",
-                    )
-                )
+        found = [
+            Fault.of(
+                f"position{t.joint}",
+                None,
+                f"it is offset by about {t.effect.values['angle']:.2g} rad, more than any effect explains",
+                "an encoder offset of a few hundredths at most",
+            )
+            for t in stage.trials
+            if t.fitted is not None
+            and t.problem is not None
+            and t.effect.kind.shifts_zero
+            and t.gain > max(best, stage.needed(t.joint)) + CHECKS.zero_clearer
+        ]
         if found:
-            break
-    return found
+            return found
+    return []

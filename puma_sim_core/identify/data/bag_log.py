@@ -1,31 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""A bag of `sim_node` as a log: what was commanded and what was measured, nothing of the model.
+"""A bag of `sim_node` as a log: what was commanded and what was measured.
 
-A bag also holds the model that was simulated. It is not looked at, but for the rules of the
-session that turn commands into volts: the voltage limit, the watchdog, the period.
+Of the model and the session that a bag also holds, only the rules that turn commands into volts are read: the voltage
+limit, the watchdog, the period.
 """
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from puma_sim_core.errors import BagError, RecordingError
 from puma_sim_core.files import parse_yaml
+from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.data.log import Log
 from puma_sim_core.recording.bag import BagContents, read_bag
 
 
-def read_bag_log(path: str | os.PathLike, joints: int) -> Log:
+def read_bag_log(path: str | Path, joints: int) -> Log:
     """Read a bag: a row a state; the voltage of row k is the command that holds until row k + 1.
 
-    The states' own voltages are those at the motors, behind the amplifier; commands in volts are
-    given instead, as the session took them: clipped to its limit, zero when the watchdog acts.
-    Under the position servo there are no such commands, and the motors' voltages have to do; they
-    can only where each period has one sample of the servo.
+    The states' own voltages are those at the motors, behind the amplifier; commands in volts are given instead, as the
+    session took them: clipped to its limit, zero when the watchdog acts. Under the position servo there are no such
+    commands; the motors' voltages serve where each period has one sample of the servo.
 
     Raises
     ------
@@ -38,19 +39,19 @@ def read_bag_log(path: str | os.PathLike, joints: int) -> Log:
     rules = parse_yaml(bag.config_text, f"{path}: topic sim_node/model", BagError)
     if not isinstance(rules, Mapping):
         raise BagError("no session", where=f"{path}: topic sim_node/model", expected="a mapping")
-    notes = []
+    notes: tuple[str, ...] = ()
     if bag.command_interface == "voltage":
         voltage = _commanded(bag, rules)
     else:
         samples = int(rules.get("substeps", 1))
         if samples > 1:
             raise RecordingError(
-                f"the servo took {samples} samples in each period, of which the bag has the voltage of the last alone",
+                f"the servo took {samples} samples in each period, and the bag has the voltage of the last alone",
                 where=str(path),
                 expected="a session with command_interface voltage, or with substeps 1 (and a period such as 0.001)",
             )
         voltage = np.concatenate([bag.voltage[1:], bag.voltage[-1:]])
-        notes.append("Voltages are those at the motors: the session commanded positions.")
+        notes = ("Voltages are those at the motors: the session commanded positions.",)
     return Log(
         name=str(path),
         time=bag.time_ns * 1e-9,
@@ -58,11 +59,11 @@ def read_bag_log(path: str | os.PathLike, joints: int) -> Log:
         position=bag.position,
         velocity=bag.velocity,
         current=bag.current,
-        notes=tuple(notes),
+        notes=notes,
     )
 
 
-def _commanded(bag: BagContents, rules: Mapping) -> np.ndarray:
+def _commanded(bag: BagContents, rules: Mapping[str, Any]) -> Floats:
     """(n, J) commanded volts that act from each state on."""
     limit = float(rules.get("voltage_limit", np.inf))
     timeout, period = float(rules.get("command_timeout", 0.0)), float(rules.get("period", 0.0))

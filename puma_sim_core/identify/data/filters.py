@@ -1,31 +1,36 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""Filters without phase, and the derivatives that go with them, by the fast Fourier transform.
+"""Filters without phase, and derivatives, by the fast Fourier transform.
 
-Both filters of the loop have the response H(f) = 1 / (1 + (f/fc)^8): flat to half of fc, 1/2 at fc,
-1/257 at twice fc. A series is continued beyond its ends by its own point reflection, so that
-a slope goes on; rows within `edge` of an end still depend on that and are not to be used.
+Both filters have the response H(f) = 1 / (1 + (f/fc)^8): flat to half of fc, 1/2 at fc, 1/257 at twice fc. A series is
+continued beyond its ends by its own point reflection, so that a slope goes on; rows within `edge` of an end still
+depend on that and are not used.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy import fft
 
+from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.settings import DATA
 
 
-def response(frequency, cutoff: float) -> np.ndarray:
+def response(frequency: Floats, cutoff: float) -> Floats:
     """H(f) of the filter at frequencies [Hz], without phase; 1/2 at the cutoff [Hz]."""
     return 1.0 / (1.0 + (np.asarray(frequency) / cutoff) ** DATA.filter_order)
 
 
 def edge(cutoff: float) -> float:
-    """Time [s] at each end of a stretch that a filter of this cutoff [Hz] spoils."""
+    """Time [s] at each end of a log that a filter of this cutoff [Hz] spoils."""
     return DATA.filter_settling / cutoff
 
 
-def low_pass(values: np.ndarray, step: float, cutoff: float, orders=(0,), lag: float = 0.0) -> list[np.ndarray]:
+def low_pass(
+    values: Floats, step: float, cutoff: float, orders: Sequence[int] = (0,), lag: float = 0.0
+) -> list[Floats]:
     """Derivatives of a filtered series.
 
     values (n, ...) : samples each `step` [s], along the first axis.
@@ -44,20 +49,19 @@ def low_pass(values: np.ndarray, step: float, cutoff: float, orders=(0,), lag: f
     long = np.concatenate([before, values, after])
     m = len(long)
     slope = (long[-1] - long[0]) / ((m - 1) * step)
-    ramp = step * np.arange(m)
-    ramp = ramp.reshape(-1, *(1,) * (values.ndim - 1))
-    flat = long - long[0] - slope * ramp
-    size = fft.next_fast_len(m, real=True)
-    spectrum = fft.rfft(flat, size, axis=0)
-    omega = 2j * np.pi * fft.rfftfreq(size, step)
-    gain = response(fft.rfftfreq(size, step), cutoff) * (1.0 + lag * omega)
     shape = (-1, *(1,) * (values.ndim - 1))
-    keep = slice(pad, pad + n)
+    ramp = (step * np.arange(m)).reshape(shape)
+    size = fft.next_fast_len(m, real=True)
+    spectrum = fft.rfft(long - long[0] - slope * ramp, size, axis=0)
+    frequency = fft.rfftfreq(size, step)
+    omega = 2j * np.pi * frequency
+    gain = response(frequency, cutoff) * (1.0 + lag * omega)
+    inner = slice(pad, pad + n)
     result = []
     for order in orders:
-        part = fft.irfft(spectrum * (gain * omega**order).reshape(shape), size, axis=0)[keep]
+        part = fft.irfft(spectrum * (gain * omega**order).reshape(shape), size, axis=0)[inner]
         if order == 0:
-            part = part + long[0] + slope * (ramp[keep] + lag)
+            part = part + long[0] + slope * (ramp[inner] + lag)
         elif order == 1:
             part = part + slope
         result.append(part)

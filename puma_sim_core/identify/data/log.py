@@ -8,6 +8,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from puma_sim_core.identify.arrays import Floats, Ints
+from puma_sim_core.identify.settings import DATA
+
 
 @dataclass(frozen=True)
 class Log:
@@ -17,26 +20,24 @@ class Log:
     velocity, current, setpoint, enable : (n, J), or None where the log has none of them.
     lines (n,) : line of each row in its file, None for a bag.
     quantum (J,) : step of the encoder in `position`, 0.0 where none can be seen.
-    notes : what was left out or taken in another way than it stands, as sentences.
+    notes : what was left out or changed, as sentences.
     """
 
     name: str
-    time: np.ndarray
-    voltage: np.ndarray
-    position: np.ndarray
-    velocity: np.ndarray | None = None
-    current: np.ndarray | None = None
-    setpoint: np.ndarray | None = None
-    enable: np.ndarray | None = None
-    lines: np.ndarray | None = None
-    quantum: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    time: Floats
+    voltage: Floats
+    position: Floats
+    velocity: Floats | None = None
+    current: Floats | None = None
+    setpoint: Floats | None = None
+    enable: Floats | None = None
+    lines: Ints | None = None
+    quantum: Floats = field(default_factory=lambda: np.zeros(0))
     notes: tuple[str, ...] = ()
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if len(self.quantum) == 0:
-            object.__setattr__(
-                self, "quantum", np.array([encoder_step(self.position[:, j]) for j in range(self.joints)])
-            )
+            object.__setattr__(self, "quantum", np.array([encoder_step(column) for column in self.position.T]))
 
     def __len__(self) -> int:
         return len(self.time)
@@ -45,6 +46,11 @@ class Log:
     def joints(self) -> int:
         """Number of joints J."""
         return self.position.shape[1]
+
+    @property
+    def span(self) -> float:
+        """Time from the first row to the last [s]."""
+        return float(self.time[-1] - self.time[0])
 
     def place(self, index: int) -> str:
         """Row and, for a file, line of the row with an index from 0, for sentences."""
@@ -57,24 +63,24 @@ def channels(group: str, joints: int) -> list[str]:
     return [f"{group}{j}" for j in range(1, joints + 1)]
 
 
-def encoder_step(position: np.ndarray) -> float:
+def encoder_step(position: Floats) -> float:
     """Step of the encoder that an (n,) series of positions shows, 0.0 where it shows none.
 
-    Differences of quantised positions are whole multiples of the step; text with few digits blurs
-    them a little.
+    Differences of quantised positions are whole multiples of the step; text with few digits blurs them a little.
     """
-    steps = np.abs(np.diff(position[np.isfinite(position)]))
-    if steps.size < 20:
+    finite = position[np.isfinite(position)]
+    steps = np.abs(np.diff(finite))
+    if steps.size < DATA.encoder_changes:
         return 0.0
-    steps = np.sort(steps[steps > 1e-9 * max(float(np.max(np.abs(position[np.isfinite(position)]))), 1e-12)])
-    if steps.size < 20:
+    steps = np.sort(steps[steps > 1e-9 * max(float(np.max(np.abs(finite))), 1e-12)])
+    if steps.size < DATA.encoder_changes:
         return 0.0
     step = float(steps[: max(1, steps.size // 50)].mean())
-    for reach in (1.5, 4.0, 15.0):
+    for reach in DATA.encoder_reaches:
         near = steps[steps < reach * step]
         counts = np.round(near / step)
         step = float((near * counts).sum() / (counts * counts).sum())
-    near = steps[steps < 15.0 * step]
+    near = steps[steps < DATA.encoder_reaches[-1] * step]
     off = np.abs(near / step - np.round(near / step))
-    whole = near.size >= 20 and np.mean(off < 0.1) > 0.95 and float(near[0]) > 0.5 * step
+    whole = near.size >= DATA.encoder_changes and np.mean(off < 0.1) > 0.95 and float(near[0]) > 0.5 * step
     return step if whole else 0.0

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""The excitation that best tells two effects apart, or shows one: a seeded search (step 11).
+"""The excitation that best tells two effects apart, or shows one: a seeded search.
 
-Random motions, then neighbours of the best ones, are judged by `separation` on what the machine
-would do if the effect were there. The winner's voltages are played on machines whose parameters
-are wrong by 8 %, and with the effects in them; it is made smaller until all of them stay in their
-ranges.
+Random motions, then neighbours of the best ones, are judged by `separation` on what the machine would do if the effect
+were there. The voltages of the best ones are simulated on machines whose parameters are wrong by 8 %, and with the
+effects in them; a motion is made smaller until all of them stay in their ranges.
 """
 
 from __future__ import annotations
@@ -18,29 +17,38 @@ import numpy as np
 from puma_sim_core.effects import KINDS
 from puma_sim_core.effects.relations import EXACT_TIES
 from puma_sim_core.errors import ParameterError
+from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.experiment.excitation import Builder, Limits, Motion, voltages
-from puma_sim_core.identify.experiment.separation import NUMBERS, Distance, Judge, Suspect, plant_with, play
+from puma_sim_core.identify.experiment.separation import (
+    NUMBERS,
+    Direction,
+    Distance,
+    Judge,
+    Suspect,
+    plant_with,
+    simulate,
+)
 from puma_sim_core.identify.settings import EXPERIMENT, SELECTION
 from puma_sim_core.jit import BACKEND
 from puma_sim_core.plant.mechanism import Mechanism
+from puma_sim_core.plant.plant import Plant
 from puma_sim_core.simulation.simulator import SERVO_PERIOD
 
 
 @dataclass(frozen=True)
 class Design:
-    """An excitation. time (n,) [s]; voltage (n, J) [V], each held until the next row; setpoint
-    (n, J) [rad or m]: the motion that the start model makes under it; start (J,): its pose at rest
-    at the beginning.
+    """An excitation. time (n,) [s]; voltage (n, J) [V], each held until the next row; setpoint (n, J) [rad or m]: the
+    motion that the start model makes under it; start (J,): its pose at rest at the beginning.
 
-    nats : expected gain of log evidence of the effect that is there; plain : that of one slow
-    sine a joint; suspects : labels of what it is for; one_way : the only one that can be told from
-    the other, where the other is a special case of it; motion : the planned one; seed.
+    nats : expected gain of log evidence of the effect that is there; plain : that of one slow sine a joint; suspects :
+    labels of what it is for; one_way : the only one that can be told from the other, where the other is a special case
+    of it; motion : the planned one; seed.
     """
 
-    time: np.ndarray
-    voltage: np.ndarray
-    setpoint: np.ndarray
-    start: np.ndarray
+    time: Floats
+    voltage: Floats
+    setpoint: Floats
+    start: Floats
     nats: float
     plain: float
     suspects: tuple[str, ...]
@@ -87,33 +95,29 @@ def suspects_of(texts: Sequence[str], mechanism: Mechanism, joint: int | None = 
 
 def _suspect(text: str, mechanism: Mechanism, joint: int | None) -> Suspect:
     name, at, place = text.partition("@")
-    where = f"--separate {text}"
+
+    def refused(what: str, expected: str) -> ParameterError:
+        return ParameterError(what, where=f"--separate {text}", expected=expected)
+
     kind = KINDS.get(name)
     if kind is None:
-        raise ParameterError(f"unknown effect '{name}'", where=where, expected=f"one of {', '.join(KINDS)}")
+        raise refused(f"unknown effect '{name}'", f"one of {', '.join(KINDS)}")
     if kind.screening is None:
-        raise ParameterError("is a parameter of every mechanism", where=where, expected="an effect; " + _reason(name))
+        raise refused("is a parameter of every mechanism", "an effect; " + _reason(name))
     if not mechanism.possible(name):
-        raise ParameterError(
-            f"has no meaning on {mechanism.name}", where=where, expected="an effect that this mechanism can have"
-        )
+        raise refused(f"has no meaning on {mechanism.name}", "an effect that this mechanism can have")
     if not kind.repeatable:
-        raise ParameterError(
-            "cannot be brought about",
-            where=where,
-            expected=("an effect that a motion shows; repeat a motion to see that a blow does not come back"),
-        )
+        raise refused("cannot be brought about", "an effect that a motion shows; to rule out an impact, repeat one")
     if not kind.per_joint:
         if at:
-            raise ParameterError(f"joint {place}", where=where, expected="no joint: it acts on the whole arm")
+            raise refused(f"joint {place}", "no joint: it acts on the whole arm")
         return Suspect(kind, None)
     J = mechanism.joints
     number = int(place) if place.isdigit() else None if at else joint or (1 if J == 1 else None)
     if number is None or not 1 <= number <= J:
         what = f"joint '{place}'" if at else "no joint" if number is None else f"joint {number}"
-        more = f" to {name}@{J}, or --joint" if J > 1 else ""
-        raise ParameterError(what, where=where, expected=f"{name}@1{more}")
-    return Suspect(kind, number - 1)
+        raise refused(what, f"{name}@1" + (f" to {name}@{J}, or --joint" if J > 1 else ""))
+    return Suspect(kind, number)
 
 
 def _reason(*labels: str) -> str:
@@ -156,13 +160,18 @@ def design(
     builder = Builder(mechanism, limits, seconds)
     judge = Judge(builder, suspects)
     rng = np.random.default_rng(seed)
-    wanted = frozenset(s.joint for s in suspects if s.joint is not None) or frozenset(range(mechanism.joints))
+    wanted = frozenset(s.joint - 1 for s in suspects if s.joint is not None) or frozenset(range(mechanism.joints))
     first = [builder.plain(), *(builder.random(rng, wanted) for _ in range(EXPERIMENT.design_looks))]
     one_way = _ties(judge, first)
     count = motions or _count(judge, first[0])
-
     machines = _machines(judge, rng)
-    coarse = EXPERIMENT.design_coarse_step * np.arange(int(seconds / EXPERIMENT.design_coarse_step) + 1)
+
+    def scored(motion: Motion, time: Floats, tries: int, number: int) -> list[tuple[float, int, Motion]]:
+        """(score, number, motion made safe), none where it cannot be."""
+        safe = _made_safe(judge, motion, time, machines, tries)
+        return [] if safe is None else [(_score(judge.on_simulation(safe)), -number, safe)]
+
+    coarse = EXPERIMENT.design_coarse_step * np.arange(int(seconds / EXPERIMENT.design_coarse_step) + 1, dtype=float)
     best: list[tuple[float, int, Motion]] = []
     for n in range(count):
         progress("motions", n / count)
@@ -172,18 +181,14 @@ def design(
             motion = builder.random(rng, wanted)
         else:
             motion = builder.changed(best[int(rng.integers(len(best)))][2], rng)
-        motion = _made_safe(judge, motion, coarse, machines, 4)
-        if motion is not None:
-            best.append((_score(judge.on_play(motion)), -n, motion))
-            best = sorted(best, key=lambda each: each[:2], reverse=True)[: EXPERIMENT.design_kept]
+        best += scored(motion, coarse, 4, n)
+        best = sorted(best, key=lambda each: each[:2], reverse=True)[: EXPERIMENT.design_kept]
 
-    time = np.arange(int(round(seconds * rate)) + 1) / rate
+    time = np.arange(int(round(seconds * rate)) + 1, dtype=float) / rate
     found = []
     for n, (_, _, motion) in enumerate(best):
         progress("limits", n / len(best))
-        safe = _made_safe(judge, motion, time, machines, 8)
-        if safe is not None:
-            found.append((_score(judge.on_play(safe)), -n, safe))
+        found += scored(motion, time, 8, n)
     if not found:
         raise ParameterError(
             f"no motion stays in the ranges of the joints when parameters are wrong by {EXPERIMENT.design_wrong:.0%}",
@@ -191,7 +196,7 @@ def design(
             expected="a shorter record, or wider ranges",
         )
     nats, _, motion = max(found, key=lambda each: each[:2])
-    plain = _made_safe(judge, first[0], time, machines, 12)
+    plain = scored(first[0], time, 12, 0)
     labels = tuple(s.label for s in suspects)
     if nats < EXPERIMENT.design_nothing:
         raise ParameterError(
@@ -205,7 +210,7 @@ def design(
         motion.at(time)[0],
         motion.centre,
         nats,
-        0.0 if plain is None else max(_score(judge.on_play(plain)), 0.0),
+        max(plain[0][0], 0.0) if plain else 0.0,
         labels,
         one_way,
         motion,
@@ -214,30 +219,21 @@ def design(
 
 
 def _count(judge: Judge, motion: Motion) -> int:
-    """Motions of a search that is not told how many."""
-    count = (
-        EXPERIMENT.design_fewer_motions
-        if judge.columns(motion) > EXPERIMENT.design_many_columns
-        else EXPERIMENT.design_motions
-    )
+    """Default number of motions of a search."""
+    many = sum(judge.columns(motion)) > EXPERIMENT.design_many_columns
+    count = EXPERIMENT.design_fewer_motions if many else EXPERIMENT.design_motions
     return count if BACKEND == "numba" else int(EXPERIMENT.design_uncompiled * count)
 
 
 def _check(seconds: float, rate: float) -> None:
     if not EXPERIMENT.design_shortest <= seconds <= EXPERIMENT.design_longest:
-        raise ParameterError(
-            f"{seconds:g} s",
-            where="--seconds",
-            expected=f"{EXPERIMENT.design_shortest:g} to {EXPERIMENT.design_longest:g} s",
-        )
+        expected = f"{EXPERIMENT.design_shortest:g} to {EXPERIMENT.design_longest:g} s"
+        raise ParameterError(f"{seconds:g} s", where="--seconds", expected=expected)
     if not rate >= EXPERIMENT.design_least_rate or seconds * rate > EXPERIMENT.design_most_rows:
-        raise ParameterError(
-            f"{rate:g} rows a second",
-            where="--rate",
-            expected=(
-                f"{EXPERIMENT.design_least_rate:g} at least, and {EXPERIMENT.design_most_rows} rows in all at the most"
-            ),
+        expected = (
+            f"{EXPERIMENT.design_least_rate:g} at least, and {EXPERIMENT.design_most_rows} rows in all at the most"
         )
+        raise ParameterError(f"{rate:g} rows a second", where="--rate", expected=expected)
 
 
 def _score(distances: list[Distance] | None) -> float:
@@ -246,25 +242,23 @@ def _score(distances: list[Distance] | None) -> float:
 
 
 def _ties(judge: Judge, motions: list[Motion]) -> str | None:
-    """Drop directions in which nothing can be left: a special case of the other effect. Gives the
-    label of the effect that can be told, where it is one of two; raises ParameterError for ties."""
+    """Drop directions in which nothing can be left: a special case of the other effect. Gives the label of the effect
+    that can be told from the other, where only one can; raises ParameterError for ties."""
     labels = [s.label for s in judge.suspects]
-    where = "--separate " + ",".join(labels)
-    alone = [(n, None) for n in range(len(labels))]
+
+    def refused(what: str, expected: str) -> ParameterError:
+        return ParameterError(what, where="--separate " + ",".join(labels), expected=expected)
+
+    alone: list[Direction] = [(n, None) for n in range(len(labels))]
     looks = [judge.on_plan(motion, alone + judge.directions) for motion in motions]
     for n, label in enumerate(labels):
-        if not any(look[n].raw > 0.0 for look in looks):
-            raise ParameterError(
-                f"no motion shows {label} here", where=where, expected="an effect that this mechanism can show"
-            )
-        if (
-            max(look[n].raw for look in looks) > SELECTION.least_gain
-            and max(look[n].nats for look in looks) < EXPERIMENT.design_nothing
-        ):
-            raise ParameterError(
+        raw, nats = (max(values) for values in zip(*((look[n].raw, look[n].nats) for look in looks)))
+        if not raw > 0.0:
+            raise refused(f"no motion shows {label} here", "an effect that this mechanism can show")
+        if raw > SELECTION.least_gain and nats < EXPERIMENT.design_nothing:
+            raise refused(
                 f"{label} is an exact tie with parameters of {judge.mechanism.name}",
-                where=where,
-                expected=f"an effect that they cannot make up for ({_reason(label)})",
+                f"an effect that they cannot make up for ({_reason(label)})",
             )
     possible = [
         direction
@@ -272,41 +266,36 @@ def _ties(judge: Judge, motions: list[Motion]) -> str | None:
         if len(labels) == 1 or any(look[n].share > EXPERIMENT.design_no_share for look in looks)
     ]
     if not possible:
-        raise ParameterError(
-            f"{labels[0]} and {labels[1]} are an exact tie",
-            where=where,
-            expected=f"effects that differ in voltage and position ({_reason(*labels)})",
-        )
+        what = f"{labels[0]} and {labels[1]} are an exact tie"
+        raise refused(what, f"effects that differ in voltage and position ({_reason(*labels)})")
     one_way = labels[possible[0][0]] if len(possible) < len(judge.directions) else None
     judge.directions = possible
     return one_way
 
 
-def _machines(judge: Judge, rng) -> list:
+def _machines(judge: Judge, rng: np.random.Generator) -> list[Plant]:
     """Plants that the voltages must suit: wrong parameters, and the effects with usual sizes."""
-    mechanism = judge.mechanism
+    m = judge.mechanism
     wrong = np.array(
-        [EXPERIMENT.design_viscous_wrong if "viscous" in p.name else EXPERIMENT.design_wrong for p in mechanism.free]
+        [EXPERIMENT.design_viscous_wrong if "viscous" in p.name else EXPERIMENT.design_wrong for p in m.free]
     )
-    thetas = [mechanism.start] + [
-        mechanism.start * (1.0 + wrong * rng.choice([-1.0, 1.0], len(wrong))) for _ in range(EXPERIMENT.design_machines)
-    ]
-    plants = [mechanism.plant(theta) for theta in thetas]
-    return plants + [plant_with(mechanism, theta, effects) for theta, effects in zip(thetas[1:], judge.usual)]
+    thetas = [m.start * (1.0 + wrong * rng.choice([-1.0, 1.0], len(wrong))) for _ in range(EXPERIMENT.design_machines)]
+    plants = [m.plant(theta) for theta in (m.start, *thetas)]
+    return plants + [plant_with(m, theta, effects) for theta, effects in zip(thetas, judge.usual)]
 
 
-def _made_safe(judge: Judge, motion: Motion, time, machines, tries: int) -> Motion | None:
+def _made_safe(judge: Judge, motion: Motion, time: Floats, machines: Sequence[Plant], tries: int) -> Motion | None:
     """The motion made smaller until all machines stay in their ranges and the voltages in theirs;
     None where that does not come about."""
+    limits = judge.limits
+
+    def stays(plant: Plant) -> bool:
+        position = simulate(plant, motion, time, volts, EXPERIMENT.design_coarse_step)
+        return position is not None and limits.hold(position)
+
     for _ in range(tries):
         volts = voltages(judge.mechanism, motion, time, judge.noise)
-        fits = (np.abs(volts) <= judge.limits.voltage).all()
-        if fits and all(_stays(plant, motion, time, volts, judge.limits) for plant in machines):
+        if (np.abs(volts) <= limits.voltage).all() and all(map(stays, machines)):
             return motion
-        motion = motion.shrunk(np.full(len(motion.centre), 0.85), judge.limits.home)
+        motion = motion.shrunk(np.full(len(motion.centre), EXPERIMENT.design_smaller), limits.home)
     return None
-
-
-def _stays(plant, motion, time, volts, limits) -> bool:
-    position = play(plant, motion, time, volts, EXPERIMENT.design_coarse_step)
-    return position is not None and limits.hold(position)

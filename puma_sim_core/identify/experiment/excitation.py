@@ -1,20 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""Motions that excite a machine, and the voltages that drive it along them (step 11).
+"""Motions that excite a machine, and the voltages that drive it along them.
 
 The motion of a joint is a finite Fourier series about a pose (Swevers, Ganseman, Tukel, De Schutter
 and Van Brussel, "Optimal Robot Excitation and Identification", 1997), of five harmonics, to which
-come a slow triangle, since stiction shows where a joint crawls, and three fast waves, since
+come a slow triangle, since stiction shows where a joint creeps, and three fast waves, since
 elasticity and delays show at 4 to 15 Hz. All of it swells from rest and dies away to rest.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from puma_sim_core.effects.screening import Signals
+from puma_sim_core.identify.arrays import Floats
+from puma_sim_core.identify.data.sampling import Trajectory
+from puma_sim_core.identify.screening.hypotheses import signals_of
 from puma_sim_core.identify.screening.known_effects import known_voltage
 from puma_sim_core.identify.settings import EXPERIMENT
 from puma_sim_core.plant.mechanism import Mechanism
@@ -26,15 +31,15 @@ class Limits:
     voltage (J,), greatest magnitudes [rad/s, V]."""
 
     position: tuple[tuple[float, float], ...]
-    velocity: np.ndarray
-    voltage: np.ndarray
+    velocity: Floats
+    voltage: Floats
 
     @classmethod
     def of(cls, mechanism: Mechanism, voltage: float | None = None, velocity: float | None = None) -> Limits:
         """Ranges of a mechanism; the same greatest voltage and velocity for all joints.
 
-        Without a voltage it is 40 V for an arm, and ten times that of a middling friction torque
-        for a single joint; without a velocity it is 0.6 ranges of the joint a second.
+        By default 40 V for an arm, and ten times that of the nominal friction torque for a single joint; 0.6 ranges of
+        the joint a second.
         """
         J = mechanism.joints
         span = np.array([high - low for low, high in mechanism.ranges])
@@ -47,13 +52,13 @@ class Limits:
             np.full(J, float(voltage)),
         )
 
-    def hold(self, position: np.ndarray) -> bool:
+    def hold(self, position: Floats) -> bool:
         """Whether positions (n, J) are within the ranges."""
         low, high = np.array(self.position).T
         return bool((position > low).all() and (position < high).all())
 
     @property
-    def home(self) -> np.ndarray:
+    def home(self) -> Floats:
         """(J,) middle of the ranges."""
         return np.array([0.5 * (low + high) for low, high in self.position])
 
@@ -68,14 +73,14 @@ class Motion:
     """
 
     seconds: float
-    centre: np.ndarray
-    amplitude: np.ndarray
-    count: np.ndarray
-    phase: np.ndarray
-    triangle: np.ndarray
-    span: np.ndarray
+    centre: Floats
+    amplitude: Floats
+    count: Floats
+    phase: Floats
+    triangle: Floats
+    span: Floats
 
-    def at(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def at(self, time: Floats) -> tuple[Floats, Floats, Floats]:
         """Positions, velocities and accelerations (n, J) at times (n,) [s]."""
         w = 2.0 * np.pi * self.count / self.seconds
         x, v, a = (np.zeros((len(time), len(self.centre))) for _ in range(3))
@@ -95,7 +100,7 @@ class Motion:
         e, e1, e2 = self._envelope(time)
         return (self.centre + e * x, e1 * x + e * v, e2 * x + 2.0 * e1 * v + e * a)
 
-    def _envelope(self, time):
+    def _envelope(self, time: Floats) -> tuple[Floats, Floats, Floats]:
         """(n, J) share of the motion, with its first and second derivatives."""
         begin, end = self.span.T
         swell = np.minimum(EXPERIMENT.motion_swell, 0.4 * (end - begin))
@@ -104,7 +109,7 @@ class Motion:
         # at least one of the two is constant wherever the other is not
         return up * down, (up1 * down - up * down1) / swell, (up2 * down + up * down2) / swell**2
 
-    def shrunk(self, by: np.ndarray, home: np.ndarray) -> Motion:
+    def shrunk(self, by: Floats, home: Floats) -> Motion:
         """The motion with its swings made smaller by (J,) factors, and nearer to a pose (J,)."""
         return replace(
             self,
@@ -114,7 +119,7 @@ class Motion:
         )
 
 
-def _step(x):
+def _step(x: Floats) -> tuple[Floats, Floats, Floats]:
     """A step from 0 to 1 over 0..1 that bends and turns smoothly, with two derivatives."""
     x = np.clip(x, 0.0, 1.0)
     return (x**3 * (10.0 - 15.0 * x + 6.0 * x * x), 30.0 * (x * (1.0 - x)) ** 2, 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x))
@@ -124,7 +129,7 @@ def _step(x):
 
 
 class Builder:
-    """Makes motions of a mechanism within limits. theta: the numbers that it reckons with."""
+    """Makes motions of a mechanism within limits."""
 
     def __init__(self, mechanism: Mechanism, limits: Limits, seconds: float):
         self.mechanism, self.limits, self.seconds = mechanism, limits, seconds
@@ -135,7 +140,7 @@ class Builder:
         self.time = np.linspace(0.0, seconds, max(200, int(200 * seconds)))
 
     def plain(self) -> Motion:
-        """What one would take without thinking: one sine a joint about the middle of its range,
+        """The obvious motion: one sine a joint about the middle of its range,
         of a fifth of the range."""
         m = self._rest()
         for j in range(self.mechanism.joints):
@@ -160,13 +165,7 @@ class Builder:
 
     def changed(self, motion: Motion, rng: np.random.Generator) -> Motion:
         """A neighbour of a motion."""
-        m = replace(
-            motion,
-            **{
-                name: getattr(motion, name).copy()
-                for name in ("centre", "amplitude", "count", "phase", "triangle", "span")
-            },
-        )
+        m = deepcopy(motion)
         for j in range(self.mechanism.joints):
             if j > 0 and rng.random() < 0.3:
                 continue
@@ -204,12 +203,12 @@ class Builder:
             np.tile([EXPERIMENT.motion_rest, self.seconds - EXPERIMENT.motion_rest], (J, 1)),
         )
 
-    def _place(self, m: Motion, j: int, rng) -> None:
+    def _place(self, m: Motion, j: int, rng: np.random.Generator) -> None:
         """A pose: the middle of the range, or somewhere."""
         away = rng.uniform(-1.0, 1.0) if rng.random() < 0.7 else 0.0
         m.centre[j] = self.limits.home[j] + (1.0 - 2.0 * EXPERIMENT.motion_margin) * self.half[j] * away
 
-    def _swing(self, m: Motion, j: int, rng) -> None:
+    def _swing(self, m: Motion, j: int, rng: np.random.Generator) -> None:
         """The Fourier series: its base, how fast it falls off, and its size."""
         base = np.exp(rng.uniform(np.log(1.0 / self.seconds), np.log(max(EXPERIMENT.motion_base, 1.0 / self.seconds))))
         k = np.arange(1, EXPERIMENT.motion_harmonics + 1)
@@ -221,15 +220,15 @@ class Builder:
         m.phase[j, : EXPERIMENT.motion_harmonics] = rng.uniform(0.0, 2.0 * np.pi, EXPERIMENT.motion_harmonics)
         m.amplitude[j, : EXPERIMENT.motion_harmonics] = size * shape / np.abs(shape).sum()
 
-    def _triangle(self, m: Motion, j: int, rng) -> None:
+    def _triangle(self, m: Motion, j: int, rng: np.random.Generator) -> None:
         """A slow triangle of a few cycles; half of the time in place of the series."""
         if rng.random() < 0.5:
             m.amplitude[j, : EXPERIMENT.motion_harmonics] *= 0.05
         size = self.half[j] * np.exp(rng.uniform(np.log(0.01), np.log(0.8)))
         m.triangle[j] = size, rng.integers(1, max(2, round(0.6 * self.seconds)) + 1), rng.uniform(0.0, 2.0 * np.pi)
 
-    def _shake(self, m: Motion, j: int, rng) -> None:
-        """Fast waves that take a part of a middling friction's voltage each."""
+    def _shake(self, m: Motion, j: int, rng: np.random.Generator) -> None:
+        """Fast waves that take a part of the nominal friction's voltage each."""
         counts = np.round(rng.uniform(*EXPERIMENT.motion_fast_band, EXPERIMENT.motion_fast) * self.seconds)
         w = 2.0 * np.pi * counts / self.seconds
         inertia = self.drive.motor_inertia[j] + self.mechanism.inertia(self.theta, m.centre[None])[0, j]
@@ -243,7 +242,7 @@ class Builder:
             self.volts[j] * np.exp(rng.uniform(np.log(0.05), np.log(2.0), EXPERIMENT.motion_fast)) / takes
         )
 
-    def _span(self, m: Motion, j: int, rng) -> None:
+    def _span(self, m: Motion, j: int, rng: np.random.Generator) -> None:
         """The joint moves for a part of the record."""
         first, last = np.sort(rng.uniform(0.0, 1.0, 2))
         if last - first < 0.3:
@@ -286,66 +285,35 @@ class Builder:
 # ----------------------------------------------------------------------------------------- voltages
 
 
-def signals_of(mechanism: Mechanism, step: float, q, qd, qdd, voltage, noise: np.ndarray, shaken: bool) -> Signals:
+def signals_along(
+    mechanism: Mechanism, step: float, motion: Sequence[Floats], voltage: Floats, noise: Floats, coupled: bool
+) -> Signals:
     """`Signals` of a motion at even times from 0 on.
 
-    q, qd, qdd, voltage : (n, J); noise (J,): standard deviation of the velocity that the log of
-    such a motion will have; shaken : with what effects of transmissions and sensors read too.
+    motion : positions, velocities and accelerations (n, J), as voltage; noise (J,) : standard deviation of the velocity
+    that the log of such a motion will have; coupled : as for `signals_of`.
     """
-    theta, n = mechanism.start, len(q)
-    drive = mechanism.drive(theta)
-    link = mechanism.torque(theta, q, qd, qdd)
-    torque = link + drive.motor_inertia * qdd + drive.viscous * qd
-    inertia = mechanism.inertia_matrix(theta, q)
-    return Signals(
-        time=step * np.arange(n),
-        step=step,
-        segment=np.zeros(n, dtype=int),
-        voltage=voltage,
-        position=q,
-        velocity=qd,
-        acceleration=qdd,
-        link_torque=link,
-        gravity_torque=mechanism.gravity(theta, q),
-        torque=torque,
-        current=torque * drive.volts_per_torque / drive.resistance,
-        enable=np.ones_like(q),
-        link_inertia=np.diagonal(inertia, axis1=1, axis2=2).copy(),
-        motor_inertia=drive.motor_inertia,
-        viscous=drive.viscous,
-        volts_per_torque=drive.volts_per_torque,
-        lag=drive.lag,
-        emf=drive.emf,
-        gear=np.asarray(mechanism.gear, dtype=float),
-        torque_scale=np.asarray(mechanism.torque_scale, dtype=float),
-        velocity_noise=noise,
-        quantum=np.zeros(mechanism.joints),
-        ranges=tuple(mechanism.ranges),
-        gravity_tilt=mechanism.gravity_tilt(theta, q),
-        payload_torque=lambda z: mechanism.payload_torque(theta, z, q, qd, qdd),
-        inertia=inertia if shaken else None,
-        position_gradient=mechanism.position_gradient(theta, q, qd, qdd) if shaken else None,
-        torque_per_ampere=drive.resistance / drive.volts_per_torque,
-    )
+    n, drive = len(voltage), mechanism.drive(mechanism.start)
+    segment, enable = np.zeros(n, dtype=int), np.ones_like(voltage)
+    trajectory = Trajectory(step * np.arange(n, dtype=float), step, segment, voltage, enable, *motion)
+    signals = signals_of(mechanism, mechanism.start, trajectory, noise, np.zeros(mechanism.joints), coupled=coupled)
+    return replace(signals, torque_per_ampere=drive.resistance / drive.volts_per_torque)
 
 
-def voltages(mechanism: Mechanism, motion: Motion, time: np.ndarray, noise: np.ndarray) -> np.ndarray:
+def voltages(mechanism: Mechanism, motion: Motion, time: Floats, noise: Floats) -> Floats:
     """(n, J) voltages [V] that drive the start model along a motion, each held for a step.
 
-    Equation of `mechanisms`, with the winding's lag, at the middle of each step; what effects of
-    the model take is in them. time (n,): even times from 0 on; noise as for `signals_of`.
+    Those of `mechanism.model_voltage`, with the winding's lag, at the middle of each step, and what effects of the
+    model take. time (n,) : even times from 0 on; noise as for `signals_along`.
     """
     theta, step = mechanism.start, float(time[1] - time[0])
     drive = mechanism.drive(theta)
-    middle = np.minimum(time + 0.5 * step, motion.seconds)
-    q, qd, qdd = motion.at(middle)
-    volts = mechanism.model_voltage(theta, q, qd, qdd)
+    at = motion.at(np.minimum(time + 0.5 * step, motion.seconds))
+    volts = mechanism.model_voltage(theta, *at)
     if drive.lag.any():
-        rate = np.gradient(mechanism.total_torque(theta, q, qd, qdd), step, axis=0)
+        rate = np.gradient(mechanism.total_torque(theta, *at), step, axis=0)
         volts = volts + drive.volts_per_torque * drive.lag * rate
-    if not mechanism.effects:
-        return volts
     total = volts
-    for _ in range(2):  # a dead-band or a delay reads the voltages themselves
-        total = volts + known_voltage(mechanism, theta, signals_of(mechanism, step, q, qd, qdd, total, noise, True))
+    for _ in range(2 if mechanism.effects else 0):  # a dead-band or a delay reads the voltages themselves
+        total = volts + known_voltage(mechanism, theta, signals_along(mechanism, step, at, total, noise, True))
     return total

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterable
+from typing import Protocol
 
 import numpy as np
 
@@ -17,10 +18,19 @@ from puma_sim_core.identify.settings import EXPERIMENT
 from puma_sim_core.plant.mechanism import Mechanism
 
 
+class Named(Protocol):
+    """An effect on a joint (1-based; None for the whole arm), such as `Hypothesis` or `Detectable`."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def joint(self) -> int | None: ...
+
+
 def next_experiment(
     mechanism: Mechanism,
-    ties: Iterable[tuple],
-    not_excited: Iterable,
+    ties: Iterable[tuple[Named, Named]],
+    not_excited: Iterable[Named],
     log_name: str,
     *,
     plant: str | None = None,
@@ -31,12 +41,9 @@ def next_experiment(
 
     Parameters
     ----------
-    ties : pairs of what is named and what the log cannot tell from it, each with `name` and
-        `joint` (1-based; None for the whole arm), such as `Hypothesis`; the most wanted first.
-        Where the second has the first as a special case no record could tell, and none is asked
-        for.
-    not_excited : what it says nothing of, such as `Hypothesis` or `Detectable`; those on a joint
-        come before those of the whole arm.
+    ties : pairs of what is named and what the log cannot tell from it, the most wanted first. Where the second has the
+        first as a special case no record could tell, and none is asked for.
+    not_excited : what it says nothing of; those on a joint come before those of the whole arm.
     log_name : of the log, for the sentence.
     plant, parameters, model : how `explain` was called; the mechanism's name by default.
 
@@ -44,73 +51,68 @@ def next_experiment(
     -------
     None where nothing is left open that a motion could show.
     """
-    source = [("--plant", plant or mechanism.name), ("--parameters", parameters), ("--model", model)]
-    for first, second in ties:
-        if _can_be_shown(first, mechanism) and _can_be_shown(second, mechanism) and not _within(first, second):
-            return _made(mechanism, source, log_name, _hypothesis(first), _hypothesis(second))
-    wanted = [each for each in not_excited if _can_be_shown(each, mechanism)]
-    for each in sorted(wanted, key=lambda each: each.joint is None):
-        if _has_columns(each, mechanism):
-            return _made(mechanism, source, log_name, _hypothesis(each))
-    return None
+    found: tuple[Named, ...] = ()
+    for pair in ties:
+        if all(_can_be_shown(each, mechanism) for each in pair) and not _within(*pair):
+            found = pair
+            break
+    else:
+        wanted = [each for each in not_excited if _can_be_shown(each, mechanism)]
+        for each in sorted(wanted, key=lambda each: each.joint is None):
+            if _has_columns(each, mechanism):
+                found = (each,)
+                break
+    if not found:
+        return None
+    separate = tuple(Hypothesis(each.name, each.joint) for each in found)
+    words = ["puma-sim", "excite"]
+    for option, value in (("--plant", plant or mechanism.name), ("--parameters", parameters), ("--model", model)):
+        if value is not None:
+            words += [option, str(value)]
+    words += ["--separate", ",".join(map(label, separate)), "--out", "volts.csv"]
+    return NextExperiment(_sentence(log_name, separate, mechanism.joints), separate, shlex.join(words))
 
 
-def label(each) -> str:
+def label(each: Named) -> str:
     """Such as NAME@2, as `puma-sim excite` takes it."""
     return each.name if each.joint is None else f"{each.name}@{each.joint}"
 
 
-def _hypothesis(each) -> Hypothesis:
-    return Hypothesis(each.name, each.joint)
-
-
-def _can_be_shown(each, mechanism: Mechanism) -> bool:
-    """Whether a motion brings the effect out: a blow is none, nor what a mechanism cannot have."""
+def _can_be_shown(each: Named, mechanism: Mechanism) -> bool:
+    """Whether a motion brings the effect about: not an impact, nor what a mechanism cannot have."""
     kind = KINDS.get(each.name)
     return kind is not None and kind.screening is not None and kind.repeatable and mechanism.possible(each.name)
 
 
-def _within(first, second) -> bool:
-    """Whether the first is a special case of the second, on one joint: then every record that the
-    first explains, the second explains as well, and the simpler name stands."""
+def _within(first: Named, second: Named) -> bool:
+    """Whether the first is a special case of the second, on one joint: the second then explains every record of the
+    first as well, and the simpler name is preferred."""
     return first.joint == second.joint and first.name in KINDS[second.name].contains
 
 
-def _has_columns(each, mechanism: Mechanism) -> bool:
-    """Whether one of a few motions brings it out: joint 1 of an arm bears no load of gravity."""
+def _has_columns(each: Named, mechanism: Mechanism) -> bool:
+    """Whether one of a few motions shows it: joint 1 of an arm bears no load of gravity."""
     builder = Builder(mechanism, Limits.of(mechanism), EXPERIMENT.offer_seconds)
-    suspect = Suspect(KINDS[each.name], None if each.joint is None else each.joint - 1)
-    judge, rng = Judge(builder, (suspect,)), np.random.default_rng(0)
+    judge, rng = Judge(builder, (Suspect(KINDS[each.name], each.joint),)), np.random.default_rng(0)
     wanted = frozenset(range(mechanism.joints))
-    return any(
-        judge.shown(0, motion)
-        for motion in (builder.plain(), *(builder.random(rng, wanted) for _ in range(EXPERIMENT.offer_looks)))
-    )
+    motions = (builder.plain(), *(builder.random(rng, wanted) for _ in range(EXPERIMENT.offer_looks)))
+    return any(sum(judge.columns(motion)) for motion in motions)
 
 
-def _made(mechanism, source, log_name: str, first: Hypothesis, second: Hypothesis | None = None) -> NextExperiment:
-    joints = mechanism.joints
-    if second is None:
-        need = KINDS[first.name].screening.excitation
-        sentence = f"{log_name} could not have shown {_words(first, joints)}. What shows it: {_lower(need)}"
-        separate = (first,)
+def _sentence(log_name: str, separate: tuple[Hypothesis, ...], joints: int) -> str:
+    names = [_words(each, joints) for each in separate]
+    needs = dict.fromkeys(s.excitation for each in separate if (s := KINDS[each.name].screening) is not None)
+    lower = " And: ".join(_lower(need) for need in needs)
+    if len(separate) == 1:
+        what = f"{log_name} could not have shown {names[0]}. What shows it: {lower}"
     else:
-        sentence = f"{log_name} cannot tell {_words(first, joints)} from {_words(second, joints)}"
-        told = _told_apart(first, second)
-        sentence += f": {told}. " if told else ". "
-        needs = dict.fromkeys(KINDS[each.name].screening.excitation for each in (first, second))
-        sentence += "What tells them apart: " + " And: ".join(_lower(need) for need in needs)
-        separate = (first, second)
-    sentence += (
-        " The command writes voltages for that; start at rest in the pose that the file "
-        "names, record, and explain both logs together."
+        told = _told_apart(*separate)
+        why = f": {told}" if told else ""
+        what = f"{log_name} cannot tell {names[0]} from {names[1]}{why}. What tells them apart: {lower}"
+    return (
+        f"{what} The command writes voltages for that; start at rest in the pose that the file names, record, and "
+        "explain both logs together."
     )
-    words = ["puma-sim", "excite"]
-    for option, value in source:
-        if value is not None:
-            words += [option, str(value)]
-    words += ["--separate", ",".join(label(each) for each in separate), "--out", "volts.csv"]
-    return NextExperiment(sentence, separate, shlex.join(words))
 
 
 def _told_apart(first: Hypothesis, second: Hypothesis) -> str | None:

@@ -2,10 +2,9 @@
 # Copyright the puma-sim contributors
 """Confidence intervals: a sandwich about the last step, and profiles of the likelihood.
 
-Where the model is not exact its innovations are not quite independent, and the inverse of the normal matrix is too
-narrow. The sandwich takes the scores' own covariance, over lags up to a third of a second (Newey and West 1987,
-Econometrica 55:703). Limits and gaps are not seen by any slope: each parameter is also moved to both sides, with all
-others fitted again, until the likelihood has fallen by what its variance in the sandwich asks for. The widest counts.
+Innovations of an inexact model are not independent: the sandwich takes the scores' own covariance (Newey and West 1987,
+Econometrica 55:703). No slope shows limits and gaps: each parameter is also moved to both sides, all others fitted
+again, until the likelihood has fallen by as much. The wider counts.
 """
 
 from __future__ import annotations
@@ -13,13 +12,13 @@ from __future__ import annotations
 import numpy as np
 
 from puma_sim_core.effects import Effect, Parameter
-from puma_sim_core.errors import ParameterError
-from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
+from puma_sim_core.identify.arrays import Floats
+from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit, with_value
 from puma_sim_core.identify.parallel import parallel_map
 from puma_sim_core.identify.settings import FITTING
 
 
-def deviations(fit: PredictionFit, fitted: Fitted) -> tuple[np.ndarray, np.ndarray]:
+def deviations(fit: PredictionFit, fitted: Fitted) -> tuple[Floats, Floats]:
     """(c,) standard deviations of the free parameters of the effects, in their units, and (c,) what their variance in
     the sandwich is over that by the normal matrix, 1 at least."""
     J, e = fitted.slopes, fitted.errors[fit.rows]
@@ -52,8 +51,7 @@ def intervals(fit: PredictionFit, fitted: Fitted) -> dict[tuple[int, str], tuple
         k, sign = side
         return _end(fit, fitted, k, sign * float(spread[k]), float(wider[k]))
 
-    sides = [(k, sign) for k in range(len(fitted.names)) for sign in (-1.0, 1.0)]
-    ends = parallel_map(end, sides)
+    ends = parallel_map(end, [(k, sign) for k in range(len(fitted.names)) for sign in (-1.0, 1.0)])
     return {
         (number, name): (fitted.point.effects[number].values[name], ends[2 * k], ends[2 * k + 1])
         for k, (number, name) in enumerate(fitted.names)
@@ -61,10 +59,10 @@ def intervals(fit: PredictionFit, fitted: Fitted) -> dict[tuple[int, str], tuple
 
 
 def _free(fitted: Fitted, k: int) -> tuple[Effect, Parameter]:
-    """The effect of a free parameter, and what is declared of the parameter."""
+    """The effect of a free parameter, and its declaration."""
     number, name = fitted.names[k]
     effect = fitted.point.effects[number]
-    return effect, next(p for p in effect.kind.parameters if p.name == name)
+    return effect, effect.kind.parameter(name)
 
 
 def _end(fit: PredictionFit, fitted: Fitted, k: int, spread: float, wider: float) -> float:
@@ -89,12 +87,10 @@ def _profile(fit: PredictionFit, fitted: Fitted, k: int, spread: float, wider: f
         value = effect.values[spec.name] + float(np.copysign(reach, spread))
         if not spec.low <= value <= spec.high:
             break
-        effects = list(fitted.point.effects)
-        try:
-            effects[number] = Effect(effect.kind, effect.joint, {**effect.values, spec.name: value})
-        except ParameterError:
+        effects = with_value(fitted.point.effects, number, spec.name, value)
+        if effects is None:
             break
-        at = Point(fitted.point.theta, tuple(effects))
+        at = Point(fitted.point.theta, effects)
         moved = fit.run(at, (), jacobian=jacobian, frozen=others, rounds=FITTING.profile_rounds)
         fall = np.inf if moved is None else moved.objective - fitted.objective
         if fall >= enough:
@@ -107,8 +103,7 @@ def _profile(fit: PredictionFit, fitted: Fitted, k: int, spread: float, wider: f
 
 
 def _blur(fit: PredictionFit, effect: Effect, name: str) -> float:
-    """What a parameter is uncertain by since another one is not fitted: the edges of a backlash are as soft as its
-    contact, whose stiffness is that of no machine in particular."""
+    """What a parameter is uncertain by since another one is not fitted: a backlash is as soft as its contact."""
     soft = effect.kind.parameter(name).softened_by
     if soft is None or effect.joint is None:
         return 0.0

@@ -2,14 +2,14 @@
 # Copyright the puma-sim contributors
 """Occam factors: what log evidence is less than the greatest log likelihood, for parameters that are free.
 
-A richer effect fits any log better than a simpler one that it contains. What its evidence is less for that depends on
-how much wider the prior of its parameters is than the log leaves them (MacKay 1992, Neural Computation 4:415).
+They grow with the width of the prior over what the log leaves of it (MacKay 1992, Neural Computation 4:415).
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.fitting.prediction import Fitted, PredictionFit
 from puma_sim_core.identify.screening.evidence import Scored
 from puma_sim_core.identify.settings import FITTING
@@ -18,12 +18,11 @@ from puma_sim_core.identify.settings import FITTING
 def screened(scored: Scored) -> float:
     """Occam factor [nat] by the screening."""
     count = len(scored.values or ())
-    return min(max(scored.price, FITTING.least_occam * count), FITTING.greatest_occam * count)
+    return min(max(scored.occam, FITTING.least_occam * count), FITTING.greatest_occam * count)
 
 
 def factor(scored: Scored, fit: PredictionFit, fitted: Fitted) -> float:
-    """Occam factor [nat] of the last effect of a fitted model: of one with a prior over coordinates, by these and what
-    the log leaves of them, else by the screening."""
+    """Occam factor [nat] of the last effect of a fitted model, by its prior over coordinates or by the screening."""
     effect = fitted.point.effects[-1]
     coordinates = None if effect.kind.screening is None else effect.kind.screening.coordinates
     if coordinates is None or effect.joint is None:
@@ -34,22 +33,21 @@ def factor(scored: Scored, fit: PredictionFit, fitted: Fitted) -> float:
     value, mean, deviation = coordinates(effect.values, scale).T
     sizes = fit.sizes(fitted.point, fitted.names)
 
-    def slope(k: int) -> np.ndarray:
+    def slope(k: int) -> Floats:
         """Derivatives (k,) of the coordinates by a parameter, per size."""
         name, step = fitted.names[k][1], FITTING.coordinate_difference
         ends = [
             coordinates({**effect.values, name: effect.values[name] + sign * step * sizes[k]}, scale)[:, 0]
             for sign in (1.0, -1.0)
         ]
-        derivatives: np.ndarray = (ends[0] - ends[1]) / (2.0 * step)
-        return derivatives
+        return (ends[0] - ends[1]) / (2.0 * step)
 
     slopes = np.column_stack([slope(k) for k in own])
     covariance = slopes @ _covariance(fit, fitted, own) @ slopes.T
     return gaussian(value - mean, deviation, covariance)
 
 
-def gaussian(distance: np.ndarray, deviation: np.ndarray, covariance: np.ndarray) -> float:
+def gaussian(distance: Floats, deviation: Floats, covariance: Floats) -> float:
     """Log likelihood at its best less its mean over a prior [nat].
 
     distance (k,) of the best from the middle of the prior, whose deviations are (k,); covariance
@@ -64,9 +62,8 @@ def gaussian(distance: np.ndarray, deviation: np.ndarray, covariance: np.ndarray
     return width + 0.5 * float(far @ np.linalg.solve(both, far))
 
 
-def _covariance(fit: PredictionFit, fitted: Fitted, own: list[int]) -> np.ndarray:
-    """(c, c) what the log leaves of some free parameters of the effects, all others fitted, per
-    size; without their own priors."""
+def _covariance(fit: PredictionFit, fitted: Fitted, own: list[int]) -> Floats:
+    """(c, c) what the log leaves of some free parameters, per size, all others fitted; without their own priors."""
     J = fitted.slopes
     p = J.shape[1] - len(fitted.names)
     precision = fit.prior(fitted.point, fitted.names)[1].copy()

@@ -2,27 +2,27 @@
 # Copyright the puma-sim contributors
 """Prediction-error fits: parameters fitted to the innovations of a Kalman predictor (Gauss and Newton).
 
-The screening of filtered motion is quick and linear, and not exact: friction about a reversal is blurred, and
-accelerations carry noise that feedback has sent through the voltage. Here the model itself, with all its effects,
-predicts the log row by row (`predictor`). The innovations of a true model are white and independent of the past, with
-feedback and without, so that fits are unbiased (Ljung, System Identification, chapter 13). They are weighted by a
-causal filter, which keeps that.
+The innovations of a true model are white and independent of the past, with feedback and without: fits are unbiased
+(Ljung, System Identification, chapter 13), and the causal filter that weights the innovations keeps that.
 """
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Iterator
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from puma_sim_core.effects import Effect
+from puma_sim_core.effects import Effect, Kind
 from puma_sim_core.errors import NonFiniteStateError, ParameterError
+from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.noise.weighting import Weighting
 from puma_sim_core.identify.parallel import parallel_map
 from puma_sim_core.identify.settings import FITTING
+from puma_sim_core.plant.mechanism import Mechanism
+from puma_sim_core.plant.plant import Plant
 
 #: (number of an effect in a model, one of its parameters), one by one
 Pairs = tuple[tuple[int, str], ...]
@@ -32,7 +32,7 @@ Pairs = tuple[tuple[int, str], ...]
 class Point:
     """A model: parameters theta (p,) and effects."""
 
-    theta: np.ndarray
+    theta: Floats
     effects: tuple[Effect, ...]
 
     @property
@@ -43,9 +43,12 @@ class Point:
     @property
     def key(self) -> Hashable:
         """Equal for models that are equal to the bit."""
-        return self.theta.tobytes(), tuple(
-            (effect.kind.name, effect.joint, *sorted(effect.values.items())) for effect in self.effects
-        )
+        effects = ((effect.kind.name, effect.joint, *sorted(effect.values.items())) for effect in self.effects)
+        return self.theta.tobytes(), tuple(effects)
+
+    def plant(self, mechanism: Mechanism) -> Plant:
+        """The plant of a mechanism with these parameters and effects."""
+        return mechanism.plant(self.theta, self.effects)
 
 
 @dataclass(frozen=True)
@@ -58,24 +61,21 @@ class Fitted:
     """
 
     point: Point
-    errors: np.ndarray
+    errors: Floats
     objective: float
     names: Pairs
-    jacobian: np.ndarray | None = None
+    jacobian: Floats | None = None
 
     @property
-    def slopes(self) -> np.ndarray:
+    def slopes(self) -> Floats:
         """`jacobian` of a model that has one."""
         assert self.jacobian is not None
         return self.jacobian
 
 
 class PredictionFit:
-    """Least squares of innovations over parameters and effects, by Gauss and Newton.
-
-    The objective is -log p(innovations, parameters) [nat] but for a constant: half the sum of squares of the whitened
-    innovations and of the parameters' distances from their priors, in standard deviations.
-    """
+    """Least squares of innovations over parameters and effects: -log p(innovations, parameters) [nat] but for a
+    constant."""
 
     def __init__(self, predictor: Predictor, weighting: Weighting):
         self.predictor = predictor
@@ -83,35 +83,33 @@ class PredictionFit:
         self.rows = predictor.fit_rows
         self.mechanism = predictor.mechanism
 
-    def errors(self, point: Point) -> np.ndarray | None:
+    def errors(self, point: Point) -> Floats | None:
         """(N, J) innovations after whitening, None where the model cannot be run."""
         raw = self._raw(point)
         return None if raw is None else self.weighting(raw)
 
-    def objective(self, errors: np.ndarray, point: Point) -> float:
+    def objective(self, errors: Floats, point: Point) -> float:
         """Half the sum of squares, of the rows to fit and of the parameters' priors."""
         m = self.mechanism
         step = (point.theta - m.start) / m.deviations
         far = [self._prior(effect, name)[0] for effect in point.effects for name in effect.values]
         return 0.5 * float((errors[self.rows] ** 2).sum() + step @ step + np.dot(far, far))
 
-    def prior(self, point: Point, pairs: Pairs) -> tuple[np.ndarray, np.ndarray]:
+    def prior(self, point: Point, pairs: Pairs) -> tuple[Floats, Floats]:
         """(c,) slopes of the objective's priors by parameters of effects, per size, and (c,) prior precisions."""
         found = np.array([self._prior(point.effects[number], name) for number, name in pairs])
         far, one = found.reshape(-1, 2).T
         return far * one, FITTING.least_precision + one**2
 
     def _prior(self, effect: Effect, name: str) -> tuple[float, float]:
-        """How many standard deviations the logarithm of a parameter is off, and one over its standard deviation; zeros
-        without a prior, as of other mechanisms than the arm."""
-        prior = effect.kind.parameter(name).prior if self.mechanism.joints == 3 else None
-        if prior is not None:
-            median, factor = prior
-            one = 1.0 / float(np.log(factor))
-            return one * float(np.log(max(effect.values[name], FITTING.prior_floor * median) / median)), one
-        return 0.0, 0.0
+        """Distance of a parameter's logarithm from its prior, and one over its deviation; zeros without a prior."""
+        prior = effect.kind.parameter(name).prior
+        if prior is None or self.mechanism.joints != 3:
+            return 0.0, 0.0
+        median, one = prior[0], 1.0 / float(np.log(prior[1]))
+        return one * float(np.log(max(effect.values[name], FITTING.prior_floor * median) / median)), one
 
-    def derivatives(self, point: Point, pairs: Pairs, near: np.ndarray | None = None) -> np.ndarray:
+    def derivatives(self, point: Point, pairs: Pairs, near: Floats | None = None) -> Floats:
         """(N, J, p + c) derivatives of the innovations before whitening, by the mechanism's parameters per standard
         deviation, and by parameters of effects per size (`sizes`). Read-only: they are cached.
 
@@ -121,7 +119,7 @@ class PredictionFit:
             return self._derived(point, pairs, near[:, :, : len(point.theta)])
         return self.predictor.derived((point.key, tuple(pairs)), lambda: self._derived(point, pairs))
 
-    def _derived(self, point: Point, pairs: Pairs, by_parameters: np.ndarray | None = None) -> np.ndarray:
+    def _derived(self, point: Point, pairs: Pairs, by_parameters: Floats | None = None) -> Floats:
         raw = self._raw(point)
         if raw is None:
             raise _cannot_be_run()
@@ -132,32 +130,30 @@ class PredictionFit:
         columns += parallel_map(lambda pair: self._by_effect(point, raw, *pair), pairs)
         return np.stack(columns, axis=2) if columns else np.zeros((*raw.shape, 0))
 
-    def white(self, derivatives: np.ndarray) -> np.ndarray:
+    def whitened(self, derivatives: Floats) -> Floats:
         """(N', p) derivatives after whitening, at the rows to fit, of those before it (N, J, p)."""
-        whitened: np.ndarray = self.weighting(derivatives)[self.rows]
-        return whitened
+        return self.weighting(derivatives)[self.rows]
 
-    def _raw(self, point: Point) -> np.ndarray | None:
+    def _raw(self, point: Point) -> Floats | None:
         try:
-            return self.predictor.errors(self.mechanism.plant(point.theta, point.effects))
+            return self.predictor.errors(point.plant(self.mechanism))
         except (NonFiniteStateError, ParameterError):
             return None
 
-    def _by_parameter(self, point: Point, raw: np.ndarray, number: int) -> np.ndarray:
+    def _by_parameter(self, point: Point, raw: Floats, number: int) -> Floats:
         theta = point.theta.copy()
         theta[number] += FITTING.difference * self.mechanism.deviations[number]
         moved = self._raw(Point(theta, point.effects))
         return np.zeros_like(raw) if moved is None else (moved - raw) / FITTING.difference
 
-    def _by_effect(self, point: Point, raw: np.ndarray, number: int, name: str) -> np.ndarray:
+    def _by_effect(self, point: Point, raw: Floats, number: int, name: str) -> Floats:
         effect = point.effects[number]
         size = _size(effect, name)
         for share in (FITTING.effect_difference, -FITTING.effect_difference):
-            effects = _with_value(point.effects, number, name, effect.values[name] + share * size)
+            effects = with_value(point.effects, number, name, effect.values[name] + share * size)
             moved = None if effects is None else self._raw(Point(point.theta, effects))
             if moved is not None:
-                derivative: np.ndarray = (moved - raw) / share
-                return derivative
+                return (moved - raw) / share
         return np.zeros_like(raw)
 
     def run(
@@ -165,22 +161,15 @@ class PredictionFit:
         point: Point,
         free: Iterable[tuple[int, str]],
         *,
-        jacobian: np.ndarray | None = None,
+        jacobian: Floats | None = None,
         frozen: Pairs = (),
         rounds: int = FITTING.rounds,
     ) -> Fitted | None:
-        """Fit from a start.
+        """Fit from a start; None where it cannot be run.
 
-        Parameters
-        ----------
-        free : (number of the effect, its parameter) pairs whose derivatives are taken in each round.
-        jacobian : (N', p + c) derivatives after whitening by the mechanism's parameters and by `frozen`, which stay as
-            they are in all rounds; None: all derivatives are taken in each round.
-        frozen : pairs of effects that stand first.
-
-        Returns
-        -------
-        The fitted model, None where the start cannot be run.
+        free : (number of the effect, its parameter) pairs whose derivatives are taken in each round; jacobian
+        (N', p + c) : derivatives after whitening by the mechanism's parameters and by the pairs `frozen`, which stay as
+        they are in all rounds, None: all derivatives are taken in each round.
         """
         errors = self.errors(point)
         if errors is None:
@@ -191,11 +180,11 @@ class PredictionFit:
         full = None
         for _ in range(rounds):
             if jacobian is None:
-                full = self.white(self.derivatives(point, pairs))
+                full = self.whitened(self.derivatives(point, pairs))
             else:
                 raw = self._raw(point) if own else None
                 columns = [] if raw is None else [self._by_effect(point, raw, *pair)[:, :, None] for pair in own]
-                full = np.hstack([jacobian, *(self.white(column) for column in columns)])
+                full = np.hstack([jacobian, *(self.whitened(column) for column in columns)])
             step = self._newton(full, point, errors, pairs)
             gained = 0.0
             for moved, trial in self._tried(full, point, step, pairs):
@@ -208,10 +197,8 @@ class PredictionFit:
                 break
         return Fitted(point, errors, best, pairs, full)
 
-    def from_start(self, fitted: Fitted, jacobian: np.ndarray) -> Fitted:
-        """A fit, or one from the start values of the parameters with its effects, if that comes out lower: past
-        parameters that had taken the place of an effect, a fit may have stopped in a local minimum. jacobian
-        (N', p + c) : as for `run`."""
+    def from_start(self, fitted: Fitted, jacobian: Floats) -> Fitted:
+        """A fit, or one from the start values of the parameters if lower: against local minima. jacobian : as `run`."""
         start = Point(self.mechanism.start, fitted.point.effects)
         found = self.run(start, (), jacobian=jacobian, frozen=fitted.names, rounds=FITTING.rounds_from_start)
         return fitted if found is None or found.objective >= fitted.objective else found
@@ -220,23 +207,16 @@ class PredictionFit:
         self,
         point: Point,
         pairs: Pairs,
-        raw: np.ndarray | None = None,
+        raw: Floats | None = None,
         *,
         gain: float = FITTING.finished,
         times: int = FITTING.relinearisations,
-        near: np.ndarray | None = None,
-    ) -> tuple[Fitted, np.ndarray]:
-        """Fit until new derivatives gain no more than so much [nat].
+        near: Floats | None = None,
+    ) -> tuple[Fitted, Floats]:
+        """Fit until new derivatives gain less than `gain` [nat]: the model, and derivatives (N, J, p + c) near it.
 
         raw : derivatives before whitening to begin with; near : about a model near by; times : that they are taken.
-
-        Returns
-        -------
-        The fitted model, and (N, J, p + c) the derivatives before whitening about it, or near it.
-
-        Raises
-        ------
-        ParameterError : a start that cannot be run along the log.
+        Raises ParameterError where a start cannot be run along the log.
         """
         if raw is None:
             raw = self.derivatives(point, pairs, near)
@@ -249,53 +229,39 @@ class PredictionFit:
                 break
         return fitted, raw
 
-    def linear(self, point: Point, pairs: Pairs, raw: np.ndarray, *, rounds: int = FITTING.rounds) -> Fitted:
-        """Fit with derivatives that stay as they are, from a model or from the start values.
-
-        raw (N, J, p + c) : the derivatives before whitening.
-
-        Raises
-        ------
-        ParameterError : a start that cannot be run along the log.
-        """
-        jacobian = self.white(raw)
+    def linear(self, point: Point, pairs: Pairs, raw: Floats, *, rounds: int = FITTING.rounds) -> Fitted:
+        """Fit with derivatives before whitening (N, J, p + c) that stay as they are, from a model or from the start
+        values. Raises ParameterError where a start cannot be run along the log."""
+        jacobian = self.whitened(raw)
         fitted = self.run(point, (), jacobian=jacobian, frozen=pairs, rounds=rounds)
         if fitted is None:
             raise _cannot_be_run()
         return self.from_start(fitted, jacobian)
 
-    def _newton(self, full: np.ndarray, point: Point, errors: np.ndarray, pairs: Pairs) -> np.ndarray:
+    def _newton(self, full: Floats, point: Point, errors: Floats, pairs: Pairs) -> Floats:
         """(p + c,) the step of Gauss and Newton from a model, with derivatives (N', p + c)."""
-        m = self.mechanism
+        m, p = self.mechanism, len(self.mechanism.deviations)
         slope, precision = self.prior(point, pairs)
-        p = len(m.deviations)
         normal = full.T @ full + np.diag(np.concatenate([np.ones(p), precision]))
         position = (point.theta - m.start) / m.deviations
         gradient = full.T @ errors[self.rows] + np.concatenate([position, slope])
-        return _bounded_step(normal, gradient, p)
+        return bounded_step(normal, gradient, p)
 
-    def _tried(
-        self, full: np.ndarray, point: Point, step: np.ndarray, pairs: Pairs
-    ) -> Iterator[tuple[Point, np.ndarray]]:
-        """(model, its errors) one by one, those that can be run: a whole step; one more from there with the same
-        derivatives, which brings back to the bottom of a valley that is bent, such as that of a drive's constant and
-        all torques; parts of the step."""
-        sizes = self.sizes(point, pairs)
+    def _tried(self, full: Floats, point: Point, step: Floats, pairs: Pairs) -> Iterator[tuple[Point, Floats]]:
+        """(model, its errors) that can be run: a whole step, one more from there, for curved valleys, and parts."""
         for share in FITTING.step_shares:
-            moved = self._moved(point, share * step, pairs, sizes)
-            if moved is not None:
-                yield moved
-            if moved is not None and share == 1.0:
-                back = self._newton(full, *moved, pairs)
-                moved = self._moved(moved[0], back, pairs, self.sizes(moved[0], pairs))
+            moved = self._moved(point, share * step, pairs)
+            if moved is None:
+                continue
+            yield moved
+            if share == 1.0:
+                moved = self._moved(moved[0], self._newton(full, *moved, pairs), pairs)
                 if moved is not None:
                     yield moved
 
-    def _moved(
-        self, point: Point, step: np.ndarray, pairs: Pairs, sizes: list[float]
-    ) -> tuple[Point, np.ndarray] | None:
+    def _moved(self, point: Point, step: Floats, pairs: Pairs) -> tuple[Point, Floats] | None:
         """The model a step away and its errors, None where it cannot be run."""
-        moved = self.stepped(point, step, pairs, sizes)
+        moved = self.stepped(point, step, pairs, self.sizes(point, pairs))
         errors = None if moved is None else self.errors(moved)
         return None if moved is None or errors is None else (moved, errors)
 
@@ -303,27 +269,24 @@ class PredictionFit:
         """What the columns of effects are derivatives per: the size of each parameter."""
         return [_size(point.effects[number], name) for number, name in pairs]
 
-    def stepped(self, point: Point, step: np.ndarray, pairs: Pairs, sizes: list[float]) -> Point | None:
-        """The model a step (p + c,) away, in the units of the derivatives, within all bounds; None
-        where there is none such."""
-        m = self.mechanism
+    def stepped(self, point: Point, step: Floats, pairs: Pairs, sizes: list[float]) -> Point | None:
+        """The model a step (p + c,) away, in the units of the derivatives, within all bounds; None without one."""
         p = len(point.theta)
-        theta = m.clip(point.theta + step[:p] * m.deviations)
+        theta = self.mechanism.clip(point.theta + step[:p] * self.mechanism.deviations)
         if not self.predictor.feasible(theta):
             return None
-        effects: tuple[Effect, ...] | None = point.effects
+        effects = point.effects
         for (number, name), change, size in zip(pairs, step[p:], sizes):
-            if effects is None:
-                return None
             value = effects[number].values[name]
-            if effects[number].kind.parameter(name).logarithmic:
-                value *= float(np.exp(change))
-            else:
-                value += change * size
-            effects = _with_value(effects, number, name, value, clip=True)
-        return None if effects is None else Point(theta, effects)
+            scales = effects[number].kind.parameter(name).logarithmic
+            moved = value * float(np.exp(change)) if scales else value + change * size
+            changed = with_value(effects, number, name, moved, clip=True)
+            if changed is None:
+                return None
+            effects = changed
+        return Point(theta, effects)
 
-    def step_to(self, point: Point, other: Point, pairs: Pairs, sizes: list[float]) -> np.ndarray:
+    def step_to(self, point: Point, other: Point, pairs: Pairs, sizes: list[float]) -> Floats:
         """(p + c,) the step from a model to another one of the same effects."""
         step = list((other.theta - point.theta) / self.mechanism.deviations)
         for (number, name), size in zip(pairs, sizes):
@@ -332,20 +295,17 @@ class PredictionFit:
             step.append(np.log(after / before) if scales else (after - before) / size)
         return np.array(step)
 
-    def validation_sum(self, errors: np.ndarray) -> float:
+    def validation_sum(self, errors: Floats) -> float:
         """Half the sum of squares [nat] of the errors after whitening (N, J) on the validation set."""
         return 0.5 * float((errors[self.predictor.validation_rows] ** 2).sum())
 
 
 def _cannot_be_run() -> ParameterError:
-    what, expected = "a model that cannot be run along the log", "the parameters of a fit"
-    return ParameterError(what, where="prediction", expected=expected)
+    return ParameterError("a model that cannot be run", where="prediction", expected="the parameters of a fit")
 
 
-def _bounded_step(normal: np.ndarray, gradient: np.ndarray, first: int) -> np.ndarray:
-    """The step of Gauss and Newton with those from the `first` one on, in their sizes, no greater than
-    `FITTING.greatest_step`: the others answer to what these are held at, else they would make room for a change that
-    does not come."""
+def bounded_step(normal: Floats, gradient: Floats, first: int) -> Floats:
+    """The step of Gauss and Newton whose components from the `first` on are bounded by `FITTING.greatest_step`."""
     step, bound = np.zeros(len(gradient)), np.zeros(len(gradient), dtype=bool)
     while True:
         free = ~bound
@@ -360,27 +320,28 @@ def _bounded_step(normal: np.ndarray, gradient: np.ndarray, first: int) -> np.nd
 
 
 def _size(effect: Effect, name: str) -> float:
-    """What derivatives by a parameter are per: its size, or, of a place that has no zero, how far
-    it must move to matter. A hundredth of the angle at which a stop begins, of the time of a blow,
-    or of a limit that is met by little, may jump over all of it."""
-    size = effect.kind.parameter(name).step
-    if size is not None:
-        return effect.values[size] if isinstance(size, str) else size
-    unit = next(p.unit for p in effect.kind.parameters if p.name == name)
-    small = FITTING.typical_size.get(unit, FITTING.typical_other)
+    """What derivatives by a parameter are per: its size, or its `step`, as of a stop or an impact."""
+    parameter = effect.kind.parameter(name)
+    if parameter.step is not None:
+        return effect.values[parameter.step] if isinstance(parameter.step, str) else parameter.step
+    small = FITTING.typical_size.get(parameter.unit, FITTING.typical_other)
     return max(abs(effect.values[name]), FITTING.least_share_of_typical * small)
 
 
-def _with_value(
+def bounded(kind: Kind, joint: int | None, values: Mapping[str, float]) -> Effect:
+    """An effect with its values within their bounds."""
+    spec = kind.parameter
+    return Effect(kind, joint, {n: min(max(value, spec(n).low), spec(n).high) for n, value in values.items()})
+
+
+def with_value(
     effects: tuple[Effect, ...], number: int, name: str, value: float, clip: bool = False
 ) -> tuple[Effect, ...] | None:
     """The effects with one value replaced; None where it is out of bounds."""
     effect = effects[number]
-    spec = next(p for p in effect.kind.parameters if p.name == name)
-    if clip:
-        value = min(max(value, spec.low), spec.high)
+    values = {**effect.values, name: float(value)}
     try:
-        changed = Effect(effect.kind, effect.joint, {**effect.values, name: float(value)})
+        changed = (bounded if clip else Effect)(effect.kind, effect.joint, values)
     except ParameterError:
         return None
     return (*effects[:number], changed, *effects[number + 1 :])

@@ -17,6 +17,7 @@ from scipy import fft
 from scipy.linalg import expm, solve_discrete_are
 from scipy.signal import fftconvolve
 
+from puma_sim_core.identify.arrays import Bools, Floats, log_rows
 from puma_sim_core.identify.data import filters
 from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.noise.weighting import Weighting
@@ -29,7 +30,7 @@ from puma_sim_core.simulation.tracking import Tracked, innovations
 from puma_sim_core.simulation.windows import driven_current, local_motion, true_start
 
 #: which rows of a log are of the validation set: times (n,) [s] -> (n,)
-RowChoice = Callable[[np.ndarray], np.ndarray]
+RowChoice = Callable[[Floats], Bools]
 
 
 @dataclass(frozen=True)
@@ -37,13 +38,13 @@ class Stretch:
     """One log for the predictor: time (n,) [s], voltage [V], position [rad or m], enable (n, J) or None, the start
     row's motion, and which of the n - 1 innovations are fitted to and are of the validation set (n - 1, J)."""
 
-    time: np.ndarray
-    voltage: np.ndarray
-    position: np.ndarray
-    enable: np.ndarray | None
-    motion: tuple[np.ndarray, np.ndarray, np.ndarray]
-    fit: np.ndarray
-    validation: np.ndarray
+    time: Floats
+    voltage: Floats
+    position: Floats
+    enable: Floats | None
+    motion: tuple[Floats, Floats, Floats]
+    fit: Bools
+    validation: Bools
 
     def validated_at(self, chosen: RowChoice) -> Stretch:
         """The same log with another validation set."""
@@ -54,38 +55,26 @@ class Stretch:
 class Predictor:
     """Logs with a mechanism, ready to be predicted by plants.
 
-    Parameters
-    ----------
-    logs : of these, as read.
-    validation : for each log which of its rows are of the validation set.
-    volts, noise : (J,) standard deviations of the noise of a row's voltage [V] and of a position [rad or m], from
-        which the gain follows.
+    validation : for each log which of its rows are of the validation set; volts, noise (J,) : standard deviations of
+    the noise of a row's voltage [V] and of a position [rad or m], from which the gain follows.
 
-    Attributes
-    ----------
-    responses : for each joint the innovations (k,) [rad/V] after a volt that the model lacks in one row.
-    spread : for each joint the standard deviation of an innovation [rad] of a true model.
-    linear : for each joint by itself transition, what a volt in a row adds, and gain.
-    gain : (J, 3) of position [1], velocity [1/s] and current [A/rad] for an innovation.
-    least : (J,) noise of a row's voltage that there is at least [V].
+    Attributes for each joint: gain (J, 3) of position [1], velocity [1/s] and current [A/rad] for an innovation;
+    responses: innovations (k,) [rad/V] after a volt in one row that the model lacks; spread: standard deviation of an
+    innovation [rad] of a true model; linear: transition, what a volt adds, and gain of the joint by itself; least (J,):
+    least noise of a row's voltage [V].
     """
 
     def __init__(
-        self,
-        logs: Sequence[Log],
-        mechanism: Mechanism,
-        validation: Sequence[RowChoice],
-        volts: np.ndarray,
-        noise: np.ndarray,
+        self, logs: Sequence[Log], mechanism: Mechanism, validation: Sequence[RowChoice], volts: Floats, noise: Floats
     ):
         self.mechanism = mechanism
         #: derivatives about the models that were looked at last
         self.derived = Remembered(FITTING.cached_models)
         self.stretches = [self._stretch(log, chosen) for log, chosen in zip(logs, validation)]
         self.step = float(np.median(np.concatenate([np.diff(s.time) for s in self.stretches])))
-        self.responses: list[np.ndarray] = []
+        self.responses: list[Floats] = []
         self.spread: list[float] = []
-        self.linear: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+        self.linear: list[tuple[Floats, Floats, Floats]] = []
         #: noise of a row's voltage that the gain is made for [V]
         self.volts = np.maximum(volts, FITTING.least_voltage_noise)
         self.gain = self._gain(self.volts, np.maximum(noise, FITTING.least_position_noise), self.step)
@@ -96,15 +85,13 @@ class Predictor:
         scale = mechanism.drive(mechanism.start).volts_per_torque * np.asarray(mechanism.torque_scale, dtype=float)
         self.least = FITTING.least_row_noise * scale
 
-    def feasible(self, theta: np.ndarray) -> bool:
-        """Whether the inertia matrix is positive definite throughout the ranges of the joints: what
-        is missing may pull parameters to where it is not, and no such machine moves."""
+    def feasible(self, theta: Floats) -> bool:
+        """Whether the inertia matrix is positive definite throughout the ranges of the joints, as on any machine."""
         return self._least_inertia(theta) > FITTING.least_inertia * self.inertia_at_start
 
-    def _least_inertia(self, theta: np.ndarray) -> float:
+    def _least_inertia(self, theta: Floats) -> float:
         """Least eigenvalue of the inertia matrix with the motors' [kg m^2 or kg]."""
-        D = self.mechanism.inertia_matrix(theta, self.poses)
-        D = D + np.diag(self.mechanism.drive(theta).motor_inertia)
+        D = self.mechanism.inertia_matrix(theta, self.poses) + np.diag(self.mechanism.drive(theta).motor_inertia)
         return float(np.linalg.eigvalsh(D).min())
 
     def _stretch(self, log: Log, chosen: RowChoice) -> Stretch:
@@ -122,21 +109,21 @@ class Predictor:
         usable = np.repeat(counts[:, None], log.position.shape[1], axis=1)
         return Stretch(
             time,
-            np.ascontiguousarray(log.voltage[first:]),
-            np.ascontiguousarray(log.position[first:]),
-            None if enable is None else enable[first:],
-            (position, velocity, acceleration),
-            usable,
-            np.zeros_like(usable),
+            voltage=np.ascontiguousarray(log.voltage[first:]),
+            position=np.ascontiguousarray(log.position[first:]),
+            enable=None if enable is None else enable[first:],
+            motion=(position, velocity, acceleration),
+            fit=usable,
+            validation=np.zeros_like(usable),
         ).validated_at(chosen)
 
-    def _gain(self, volts: np.ndarray, noise: np.ndarray, step: float) -> np.ndarray:
+    def _gain(self, volts: Floats, noise: Floats, step: float) -> Floats:
         """(J, 3) steady Kalman gain of each joint by itself, its inertia at its mean."""
         m = self.mechanism
         position = np.vstack([s.position for s in self.stretches])[:: FITTING.inertia_every]
         drive = m.drive(m.start)
         inertia = m.inertia(m.start, position).mean(axis=0) + drive.motor_inertia
-        gains = []
+        motors, gains = m.plant(m.start).arm.motors, []
         for j in range(m.joints):
             k, lag, emf = drive.volts_per_torque[j], drive.lag[j], drive.emf[j]
             M, H = inertia[j], drive.viscous[j]
@@ -151,34 +138,25 @@ class Predictor:
             block = np.zeros((n + 1, n + 1))
             block[:n, :n], block[:n, n:] = A * step, B * step
             block = expm(block)
-            F, G = block[:n, :n], block[:n, n:]
-            C = np.zeros((1, n))
-            C[0, 0] = 1.0
+            F, G, C = block[:n, :n], block[:n, n:], np.eye(1, n)
             Q = G @ G.T * volts[j] ** 2 + np.diag(FITTING.regular_variance[:n])
             R = noise[j] ** 2
             P = solve_discrete_are(F.T, C.T, Q, np.array([[R]]))
-            least = FITTING.least_noise_of_prediction**2 * P[0, 0]
-            if least > R:
-                R = least
-                P = solve_discrete_are(F.T, C.T, Q, np.array([[R]]))
+            if (least := FITTING.least_noise_of_prediction**2 * P[0, 0]) > R:
+                R, P = least, solve_discrete_are(F.T, C.T, Q, np.array([[least]]))
             gain = (P @ C.T / (P[0, 0] + R)).ravel()
-            current = gain[2] / self._resistance(j) if n == 3 else 0.0
+            current = gain[2] / float(motors[j].resistance) if n == 3 else 0.0
             gains.append([gain[0], gain[1], current])
             self.responses.append(_response(F, G, C, gain))
             self.linear.append((F, G[:, 0], gain))
             self.spread.append(float(np.sqrt(P[0, 0] + R)))
         return np.array(gains)
 
-    def _resistance(self, joint: int) -> float:
-        arm = getattr(self.mechanism.plant(self.mechanism.start), "arm", None)
-        motors = getattr(arm, "motors", ())
-        return float(motors[joint].resistance) if len(motors) > joint else 1.0
-
-    def errors(self, plant: Plant) -> np.ndarray:
+    def errors(self, plant: Plant) -> Floats:
         """(N, J) innovations of all logs below each other; raises NonFiniteStateError."""
         return np.concatenate([part.innovation for part in self.tracked(plant)])
 
-    def tracked(self, plant: Plant, corrected: Sequence[np.ndarray] | None = None) -> list[Tracked]:
+    def tracked(self, plant: Plant, corrected: Sequence[Bools] | None = None) -> list[Tracked]:
         """Innovations and predicted motion of each log; raises NonFiniteStateError.
 
         corrected : for each log whether a row's innovation moves the state (n - 1,), None: always.
@@ -186,7 +164,7 @@ class Predictor:
         parts = []
         for number, s in enumerate(self.stretches):
             simulator = Simulator(plant, max_step=stable_step(plant, FITTING.greatest_step_time))
-            position, velocity = true_start(plant, s.motion[0], s.motion[1], s.motion[2])
+            position, velocity = true_start(plant, *s.motion)
             current = driven_current(plant, s.time, s.voltage, 0, velocity, s.motion[2])
             if s.enable is not None:
                 current = np.where(s.enable[0] != 0.0, current, 0.0)
@@ -195,28 +173,19 @@ class Predictor:
             parts.append(innovations(simulator, s.time, s.voltage, s.position, self.gain, s.enable, own))
         return parts
 
-    def in_volts(self, errors: np.ndarray, cutoff: float) -> np.ndarray:
-        """(N, J) voltages [V] that the model lacks by its innovations (N, J), up to `cutoff` [Hz].
-
-        The response of the predictor is undone frequency by frequency.
-        """
-        out, start = np.empty_like(errors), 0
-        for s in self.stretches:
-            n = len(s.time) - 1
-            for j in range(errors.shape[1]):
-                out[start : start + n, j] = self._undone(errors[start : start + n, j], j, cutoff)
-            start += n
+    def in_volts(self, errors: Floats, cutoff: float) -> Floats:
+        """(N, J) voltages [V] that the model lacks by its innovations (N, J), up to `cutoff` [Hz]: the predictor's
+        response undone frequency by frequency."""
+        out = np.empty_like(errors)
+        for rows in log_rows(self.lengths):
+            count = rows.stop - rows.start
+            for j, taps in enumerate(self.responses):
+                size = fft.next_fast_len(count + len(taps) + int(2.0 / (cutoff * self.step)), real=True)
+                ratio = filters.response(fft.rfftfreq(size, self.step), cutoff) / fft.rfft(taps, size)
+                out[rows, j] = fft.irfft(fft.rfft(errors[rows, j], size) * ratio, size)[:count]
         return out
 
-    def _undone(self, errors: np.ndarray, joint: int, cutoff: float) -> np.ndarray:
-        taps = self.responses[joint]
-        size = fft.next_fast_len(len(errors) + len(taps) + int(2.0 / (cutoff * self.step)), real=True)
-        f = fft.rfftfreq(size, self.step)
-        ratio = filters.response(f, cutoff) / fft.rfft(taps, size)
-        volts: np.ndarray = fft.irfft(fft.rfft(errors, size) * ratio, size)
-        return volts[: len(errors)]
-
-    def floor_in_volts(self, cutoff: float) -> np.ndarray:
+    def floor_in_volts(self, cutoff: float) -> Floats:
         """(J,) `in_volts` root mean square [V] of a true model with this noise."""
         f = np.linspace(0.0, 0.5 / self.step, FITTING.spectrum_points)
         out = []
@@ -226,24 +195,24 @@ class Predictor:
             out.append(np.sqrt(2.0 * self.step * ratio.sum() * f[1]) * spread)
         return np.array(out)
 
-    def open_loop_variance(self, volts: np.ndarray, noise: np.ndarray, rows: int) -> np.ndarray:
-        """(rows, J) variance [rad^2 or m^2] of the errors of a true model's positions, so many rows
-        after it was last corrected: noise (J,) of a row's voltage [V] and of a position."""
+    def open_loop_variance(self, volts: Floats, noise: Floats, rows: int) -> Floats:
+        """(rows, J) variance [rad^2 or m^2] of a true model's positions by the rows since its last correction. volts,
+        noise (J,) : of a row's voltage [V] and of a position."""
         out = np.empty((rows, len(self.linear)))
         for j, (F, G, gain) in enumerate(self.linear):
             kept = np.eye(len(F))
             kept[:, 0] -= gain
             driven = volts[j] ** 2 * np.outer(G, G)
             seen = noise[j] ** 2 * np.outer(gain, gain)
-            P = kept @ _settled(F @ kept, F @ seen @ F.T + driven) @ kept.T + seen
+            P = kept @ stationary_covariance(F @ kept, F @ seen @ F.T + driven) @ kept.T + seen
             for r in range(rows):
                 P = F @ P @ F.T + driven
                 out[r, j] = P[0, 0] + noise[j] ** 2
         return out
 
-    def noise_behind(self, variance: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(J,) noise of a row's voltage [V] and of a position that give the innovations of a true
-        model a variance (J,); noise (J,): what a position's may at most be."""
+    def noise_behind(self, variance: Floats, noise: Floats) -> tuple[Floats, Floats]:
+        """(J,) noise of a row's voltage [V] and of a position behind a variance (J,) of a true model's innovations;
+        noise (J,): the greatest of a position."""
         one, none = np.ones(len(self.linear)), np.zeros(len(self.linear))
         driven, seen = (self.open_loop_variance(*pair, 1)[0] for pair in ((one, none), (none, one)))
         sensed = np.minimum(noise**2, variance / seen)
@@ -255,26 +224,23 @@ class Predictor:
         other.stretches = [s.validated_at(chosen) for s, chosen in zip(self.stretches, validation)]
         return other
 
-    def less(self, volts: np.ndarray) -> Predictor:
+    def less(self, volts: Floats) -> Predictor:
         """The same logs with voltages (N, J) [V] taken from those that the plant gets."""
-        other, start = copy(self), 0
+        other = copy(self)
         other.derived = Remembered(FITTING.cached_models)
         other.stretches = []
-        for s in self.stretches:
+        for s, rows in zip(self.stretches, log_rows(self.lengths)):
             voltage = s.voltage.copy()
-            voltage[:-1] -= volts[start : start + len(voltage) - 1]
+            voltage[:-1] -= volts[rows]
             other.stretches.append(replace(s, voltage=voltage))
-            start += len(voltage) - 1
         return other
 
-    def shown(self, volts: np.ndarray) -> np.ndarray:
-        """(N, J) innovations that voltages (N, J) [V] which the plant does not know of would make,
-        each at its own joint alone."""
-        out, start = np.empty_like(volts), 0
-        for n in self.lengths:
+    def shown(self, volts: Floats) -> Floats:
+        """(N, J) innovations of voltages (N, J) [V] that the plant does not know of, each at its own joint alone."""
+        out = np.empty_like(volts)
+        for rows in log_rows(self.lengths):
             for j, taps in enumerate(self.responses):
-                out[start : start + n, j] = fftconvolve(volts[start : start + n, j], taps)[:n]
-            start += n
+                out[rows, j] = fftconvolve(volts[rows, j], taps)[: rows.stop - rows.start]
         return out
 
     @property
@@ -283,35 +249,28 @@ class Predictor:
         return tuple(len(s.time) - 1 for s in self.stretches)
 
     @property
-    def fit_rows(self) -> np.ndarray:
+    def fit_rows(self) -> Bools:
         """(N, J) whether an innovation may be used to fit."""
         return np.concatenate([s.fit for s in self.stretches])
 
     @property
-    def validation_rows(self) -> np.ndarray:
+    def validation_rows(self) -> Bools:
         """(N, J) whether an innovation is of the validation set."""
         return np.concatenate([s.validation for s in self.stretches])
 
-    def white_weighting(self, errors: np.ndarray) -> Weighting:
-        """No filter, and a scale from row to row: what lasts, such as an effect that is missing,
-        does not count as noise."""
-        J, rows = errors.shape[1], self.fit_rows
-        filters, scale = np.ones((J, 1)), np.ones(J)
-        for j in range(J):
-            both = rows[1:, j] & rows[:-1, j]
-            change = np.diff(errors[:, j])[both]
+    def unfiltered_weighting(self, errors: Floats) -> Weighting:
+        """No filter, and the scale of changes from row to row: what lasts, as a missing effect, is no noise."""
+        rows, scale = self.fit_rows, np.ones(errors.shape[1])
+        for j, response in enumerate(self.responses):
+            change = np.diff(errors[:, j])[rows[1:, j] & rows[:-1, j]]
             if len(change):
                 scale[j] = FITTING.deviation_of_median * np.median(np.abs(change)) / np.sqrt(2.0)
-            scale[j] = max(
-                scale[j],
-                FITTING.least_median_share * float(np.std(change)) / np.sqrt(2.0),
-                self.least[j] * float(np.linalg.norm(self.responses[j])),
-                1e-15,
-            )
-        return Weighting(filters, scale, self.lengths)
+            spread = FITTING.least_median_share * float(np.std(change)) / np.sqrt(2.0)
+            scale[j] = max(scale[j], spread, self.least[j] * float(np.linalg.norm(response)), 1e-15)
+        return Weighting(np.ones((len(scale), 1)), scale, self.lengths)
 
 
-def _response(F: np.ndarray, G: np.ndarray, C: np.ndarray, gain: np.ndarray) -> np.ndarray:
+def _response(F: Floats, G: Floats, C: Floats, gain: Floats) -> Floats:
     """Innovations (k,) of a predictor after one row of a voltage that it does not know of."""
     kept = F @ (np.eye(len(F)) - gain[:, None] @ C)
     x, greatest = -G[:, 0], 0.0
@@ -325,7 +284,7 @@ def _response(F: np.ndarray, G: np.ndarray, C: np.ndarray, gain: np.ndarray) -> 
     return np.array(out)
 
 
-def _settled(A: np.ndarray, Q: np.ndarray) -> np.ndarray:
+def stationary_covariance(A: Floats, Q: Floats) -> Floats:
     """P = A P A' + Q of a stable A, by doubling (Smith 1968, SIAM J. Appl. Math. 16:198): a log
     without noise makes the linear equations for P too ill-conditioned to be solved."""
     while np.abs(A).max() > 1e-12:
@@ -334,6 +293,6 @@ def _settled(A: np.ndarray, Q: np.ndarray) -> np.ndarray:
 
 
 def stable_step(plant: Plant, at_most: float) -> float:
-    """Step of integration [s] at which a plant's windings are stable: a fit may make them quick."""
+    """Step of integration [s] at which a plant's windings are stable: a fit may make them fast."""
     lags = [m.inductance / m.resistance for m in plant.arm.motors[3 - plant.joints :] if m.inductance > 0.0]
     return min([at_most, *(FITTING.greatest_step_lags * lag for lag in lags)])

@@ -2,14 +2,14 @@
 # Copyright the puma-sim contributors
 """Hypotheses put into the model one by one, and fitted with all its parameters.
 
-The gain of log likelihood less the Occam factor of the free parameters is what a trial is worth. The gain on the
-validation set, and whether its parameters are those of a machine, are the other things that count.
+A trial counts by its gain of log likelihood less the Occam factor, its gain on the validation set, and its sizes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -17,18 +17,17 @@ from puma_sim_core.effects import KINDS, Effect
 from puma_sim_core.effects.base import Parameter, Role
 from puma_sim_core.effects.screening import Illegal
 from puma_sim_core.errors import ParameterError
+from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.fitting import occam
-from puma_sim_core.identify.fitting.prediction import Fitted, Pairs, Point, PredictionFit
+from puma_sim_core.identify.fitting.prediction import Fitted, Pairs, Point, PredictionFit, bounded, with_value
 from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.noise.weighting import Weighting
-from puma_sim_core.identify.screening.evidence import Scored
+from puma_sim_core.identify.screening.evidence import Key, Scored
 from puma_sim_core.identify.screening.problem import Problem
 from puma_sim_core.identify.settings import FITTING
 
-#: (name, joint) of an effect
-Key = tuple[str, int | None]
-
 _IMPOSSIBLE = "it would need an impossible value"
+_NOT_FINITE = "the model with it does not stay finite along the log"
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,7 @@ class Trial:
     @property
     def key(self) -> Key:
         """(name, joint)."""
-        return self.scored.name, self.scored.joint
+        return self.scored.key
 
     @property
     def possible(self) -> bool:
@@ -81,9 +80,9 @@ class Trial:
     @property
     def vanishing(self) -> bool:
         """Whether it is as stiff as it may be, and nothing of it left but what it contains."""
-        if self.fitted is None:
-            return False
-        return any(p.inverse and self.effect.values[p.name] >= p.high for p in self.effect.kind.parameters)
+        return self.fitted is not None and any(
+            p.inverse and self.effect.values[p.name] >= p.high for p in self.effect.kind.parameters
+        )
 
     @property
     def untried(self) -> bool:
@@ -93,37 +92,31 @@ class Trial:
 
 @dataclass(frozen=True)
 class Base:
-    """A fitted model that hypotheses are added to.
-
-    fit : the fit in one weighting; model : the model; jacobian (N', p + c) : derivatives after whitening, at the rows
-    to fit, by the parameters of the mechanism and by the free ones of its effects, `model.names`.
-    """
+    """A fitted model that hypotheses are added to. jacobian (N', p + c) : derivatives after whitening, at the rows to
+    fit, by the parameters of the mechanism and by `model.names`."""
 
     fit: PredictionFit
     model: Fitted
-    jacobian: np.ndarray
+    jacobian: Floats
 
-    def with_effect(self, effect: Effect, theta: np.ndarray | None = None) -> Point:
+    def with_effect(self, effect: Effect, theta: Floats | None = None) -> Point:
         """The model with one effect more, and with other parameters if there are any."""
         point = self.model.point
         return Point(point.theta if theta is None else theta, (*point.effects, effect))
 
 
 class Trials:
-    """Makes the trials of one problem.
-
-    predictor : `Predictor`; problem : `Problem`, whose mechanism the effects are put into.
-    """
+    """Makes the trials of one problem, whose mechanism the effects are put into."""
 
     def __init__(self, predictor: Predictor, problem: Problem):
         self.predictor = predictor
         self.problem = problem
         self.mechanism = problem.mechanism
 
-    def base(self, model: Fitted, noise: Weighting, jacobian: np.ndarray) -> Base:
+    def base(self, model: Fitted, noise: Weighting, jacobian: Floats) -> Base:
         """A fitted model to add to. jacobian (N, J, p + c) : its derivatives before whitening."""
         fit = PredictionFit(self.predictor, noise)
-        return Base(fit, model, fit.white(jacobian))
+        return Base(fit, model, fit.whitened(jacobian))
 
     def run(self, base: Base, scored: Scored, start: Point | None = None, again: bool = False) -> Trial:
         """A hypothesis in the model, fitted with all that is free.
@@ -134,26 +127,21 @@ class Trials:
         try:
             effect = self.effect(scored) if start is None else start.effects[-1]
         except ParameterError as problem:
-            return Trial(scored, 0.0, 0.0, None, scored.price, f"{_IMPOSSIBLE}: {problem}")
+            return Trial(scored, 0.0, 0.0, None, scored.occam, f"{_IMPOSSIBLE}: {problem}")
         number = len(base.model.point.effects)
         free = tuple((number, name) for name in self.names(effect, scored.values))
         screened = base.with_effect(effect)
         if start is None:
             start = self._best_start(base.fit, screened, scored)
 
-        def fitted_from(point: Point) -> Fitted | None:
-            return base.fit.run(
-                point, free, jacobian=base.jacobian, frozen=base.model.names, rounds=FITTING.trial_rounds
-            )
-
-        fitted, compensated = fitted_from(start), None
+        run = partial(base.fit.run, jacobian=base.jacobian, frozen=base.model.names, rounds=FITTING.trial_rounds)
+        fitted, compensated = run(start, free), None
         if fitted is None or fitted.objective > base.model.objective:
             compensated = self._compensated(base, scored)
         if compensated is not None:
-            fitted = _lowest(fitted, fitted_from(compensated))
+            fitted = _lowest(fitted, run(compensated, free))
         if again and (fitted is None or base.model.objective - fitted.objective < FITTING.promised * scored.gain):
-            # a model without the effect may have stretched its parameters so far that they, or derivatives about
-            # them, are of no use to the model with it
+            # without the effect, parameters may be stretched so far that they and their derivatives are of no use
             starts = [Point(self.mechanism.start, start.effects)]
             if compensated is not None:
                 starts.append(compensated if fitted is None else fitted.point)
@@ -162,13 +150,11 @@ class Trials:
                 starts += [fitted.point, Point(self.mechanism.start, screened.effects)]
             fitted = _lowest(fitted, *self._relinearised(base, free, starts, not _fixed(scored)))
         if fitted is None:
-            what = "the model with it does not stay finite along the log"
-            return Trial(scored, 0.0, 0.0, None, occam.screened(scored), what)
+            return Trial(scored, 0.0, 0.0, None, occam.screened(scored), _NOT_FINITE)
         return self.judged(base.fit, base.model, scored, fitted)
 
     def _relinearised(self, base: Base, free: Pairs, starts: list[Point], patient: bool) -> list[Fitted | None]:
-        """Fits from several starts with derivatives about each. patient : whether to go on from one that is worse than
-        the base."""
+        """Fits from several starts with derivatives about each. patient : go on from one worse than the base."""
         fit, frozen = base.fit, base.model.names
         if not starts[0].two_mass:
             pairs = (*frozen, *free)
@@ -181,16 +167,15 @@ class Trials:
         jacobian = base.jacobian
         if not base.model.point.two_mass:
             # a two-mass model answers to the arm's parameters much as the rigid one does
-            jacobian = fit.white(fit.derivatives(Point(self.mechanism.start, base.model.point.effects), frozen))
+            jacobian = fit.whitened(fit.derivatives(Point(self.mechanism.start, base.model.point.effects), frozen))
         return [fit.run(at, free, jacobian=jacobian, frozen=frozen, rounds=FITTING.two_mass_rounds) for at in starts]
 
     def _compensated(self, base: Base, scored: Scored) -> Point | None:
-        """The model with an effect as screened and the parameters as they answer to it, both by slopes about nothing of
-        it: one that looks like parameters, such as a load, is far from the log as long as they have taken its place."""
-        coefficients = scored.coefficients
-        if scored.entry is None or coefficients is None or _fixed(scored) or KINDS[scored.name].two_masses:
+        """The model with an effect as screened, and parameters that answer to it by slopes: they may look alike."""
+        if scored.best is None or _fixed(scored) or KINDS[scored.name].two_masses:
             return None
-        fit, model, values = base.fit, base.model, scored.entry.candidate.values
+        coefficients, values = scored.best.coefficients, scored.best.entry.candidate.values
+        fit, model = base.fit, base.model
         try:
             little, whole = (
                 self.effect(replace(scored, values=values(part * coefficients)))
@@ -219,23 +204,20 @@ class Trials:
     def validation_gain(fit: PredictionFit, base: Fitted, fitted: Fitted, gain: float) -> float:
         """Gain [nat] on the validation set; `FITTING.untried` of an effect that does not act there."""
         if fit.validation_sum(base.errors - fitted.errors) < max(FITTING.untried, FITTING.untried_share * gain):
-            # a limit that was met, or a blow that fell, elsewhere: nothing is said against it here
+            # a limit that was met, or an impact, elsewhere: the validation set says nothing of it
             return FITTING.untried
         return fit.validation_sum(base.errors) - fit.validation_sum(fitted.errors)
 
     @staticmethod
     def _best_start(fit: PredictionFit, screened: Point, scored: Scored) -> Point:
-        """The screened model, its threshold or stiffness the one that fits best of a few: an effect that has one acts
-        where that value is, which no slope tells."""
+        """The screened model, its threshold or stiffness the one that fits best of a few: no slope shows it."""
         if not _fixed(scored):
             return screened
-        effect, name = screened.effects[-1], next(iter(scored.values or ()))
-        spec = next(p for p in effect.kind.parameters if p.name == name)
-        best, least = screened, np.inf
+        number, name = len(screened.effects) - 1, next(iter(scored.values or ()))
+        value, best, least = screened.effects[-1].values[name], screened, np.inf
         for share in FITTING.threshold_starts:
-            value = min(max(share * effect.values[name], spec.low), spec.high)
-            moved = Effect(effect.kind, effect.joint, {**effect.values, name: value})
-            point = Point(screened.theta, (*screened.effects[:-1], moved))
+            effects = with_value(screened.effects, number, name, share * value, clip=True)
+            point = Point(screened.theta, effects or screened.effects)
             errors = fit.errors(point)
             if errors is not None and (objective := fit.objective(errors, point)) < least:
                 best, least = point, objective
@@ -248,30 +230,21 @@ class Trials:
         )
 
     def names(self, effect: Effect, values: Iterable[str] | None) -> list[str]:
-        """Parameters that are fitted: those of the screening, without structure and without
-        what the effect takes from its machine."""
-        kind = effect.kind
+        """Parameters that are fitted: those of the screening that are not given by the construction or the machine."""
+        kind, joint = effect.kind, effect.joint
         names = [name for name in values or () if _is_fitted(kind.parameter(name))]
-        if kind.screening is not None and kind.screening.fitted is not None and effect.joint is not None:
-            q = self.problem.sampled.position[:, effect.joint - 1]
-            names = kind.screening.fitted(names, effect.values, float(q.min()), float(q.max()))
-        return names
+        if kind.screening is None or kind.screening.fitted is None or joint is None:
+            return names
+        q = self.problem.sampled.position[:, joint - 1]
+        return kind.screening.fitted(names, effect.values, float(q.min()), float(q.max()))
 
     def effect(self, scored: Scored) -> Effect:
         """The effect of a hypothesis with its screened values, within their bounds."""
-        kind = KINDS[scored.name]
-        values = dict(scored.values or {})
-        for p in kind.parameters:
-            if p.name in values:
-                values[p.name] = min(max(values[p.name], p.low), p.high)
-        effects: tuple[Effect, ...] = self.mechanism.plant(
-            self.mechanism.start, (Effect(kind, scored.joint, values),)
-        ).effects
-        return effects[-1]
+        effect = bounded(KINDS[scored.name], scored.joint, scored.values or {})
+        return self.mechanism.plant(self.mechanism.start, (effect,)).effects[-1]
 
     def implausible(self, effect: Effect) -> str | None:
-        """Why an effect can be none of this machine, None where it may be one; of other mechanisms
-        than the arm no sizes are known, but that a wave has a length within its joint's range."""
+        """Why an effect can be none of this machine, None where it may be one; only the arm's sizes are known."""
         if self.problem.sampled.joints != 3:
             return self._no_wave(effect)
         for name, low, high in effect.kind.plausible:
@@ -286,10 +259,9 @@ class Trials:
 
     def _no_wave(self, effect: Effect) -> str | None:
         """Why waves over the position are none: they are longer than the joint can go twice."""
-        period = effect.values.get("period")
-        if period is None or effect.joint is None:
+        if "period" not in effect.values or effect.joint is None:
             return None
-        low, high = self.mechanism.ranges[effect.joint - 1]
+        period, (low, high) = effect.values["period"], self.mechanism.ranges[effect.joint - 1]
         far = FITTING.above_plausible * (high - low)
         return f"{_IMPOSSIBLE}: period {period:.3g}, more than the joint can go ({far:.3g})" if period > far else None
 
@@ -314,7 +286,7 @@ def _is_fitted(parameter: Parameter) -> bool:
 
 def _fixed(scored: Scored) -> bool:
     """Whether a hypothesis has no coefficients: its values are those of a grid."""
-    return scored.entry is not None and scored.entry.candidate.fixed
+    return scored.best is not None and scored.best.entry.candidate.fixed
 
 
 def _lowest(*fits: Fitted | None) -> Fitted | None:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""Causal filters that make the innovations of logs white."""
+"""Causal filters that whiten the innovations of logs."""
 
 from __future__ import annotations
 
@@ -9,32 +9,31 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter, oaconvolve
 
+from puma_sim_core.identify.arrays import Floats, log_rows
 from puma_sim_core.identify.settings import NOISE
 
 
 @dataclass(frozen=True)
 class Weighting:
-    """Filters (J, taps) that make innovations white, what they are scaled by (J,), and the rows of
-    each log: no filter reaches from one into the next."""
+    """Filters (J, taps) that whiten innovations, what they are scaled by (J,), and the rows of each log: no filter
+    reaches from one into the next."""
 
-    filters: np.ndarray
-    scale: np.ndarray
+    filters: Floats
+    scale: Floats
     lengths: tuple[int, ...]
 
-    def __call__(self, values: np.ndarray) -> np.ndarray:
+    def __call__(self, values: Floats) -> Floats:
         """(n, J, ...) innovations or their derivatives, white and of variance 1."""
         out = np.empty_like(values)
         for j in range(values.shape[1]):
-            start = 0
-            for n in self.lengths:
-                rows = slice(start, start + n)
-                out[rows, j] = self._filtered(self.filters[j], values[rows, j]) / self.scale[j]
-                start += n
+            for rows in log_rows(self.lengths):
+                out[rows, j] = _filtered(self.filters[j], values[rows, j]) / self.scale[j]
         return out
 
-    @staticmethod
-    def _filtered(taps, values):
-        if len(taps) <= NOISE.whitening_direct:
-            return lfilter(taps, [1.0], values, axis=0)
-        taps = taps.reshape(-1, *[1] * (values.ndim - 1))
-        return oaconvolve(values, taps, axes=0)[: len(values)]
+
+def _filtered(taps: Floats, values: Floats) -> Floats:
+    if len(taps) <= NOISE.whitening_direct:
+        filtered: Floats = lfilter(taps, [1.0], values, axis=0)
+    else:
+        filtered = oaconvolve(values, taps.reshape(-1, *[1] * (values.ndim - 1)), axes=0)[: len(values)]
+    return filtered

@@ -19,7 +19,7 @@ REPORT, PAGE, MODEL = "report.json", "report.html", "model.yaml"
 _EXPECTED = "a folder for the report, there or to be made"
 
 
-def check_folder(folder: str | os.PathLike, inputs: Iterable[str | os.PathLike] = ()) -> None:
+def check_folder(folder: str | os.PathLike[str], inputs: Iterable[str | os.PathLike[str]] = ()) -> None:
     """Refuse, before the work, a folder that cannot be written to or would overwrite an input.
 
     Raises
@@ -27,11 +27,10 @@ def check_folder(folder: str | os.PathLike, inputs: Iterable[str | os.PathLike] 
     RecordingError : names the folder or the file.
     """
     folder = Path(folder)
-    above = Path(os.path.abspath(folder))
-    while not os.path.lexists(above):
-        above = above.parent
+    whole = Path(os.path.abspath(folder))
+    above = next(path for path in (whole, *whole.parents) if os.path.lexists(path))
     if not above.is_dir():
-        what = "is a file" if above == Path(os.path.abspath(folder)) else f"{above} is no folder"
+        what = "is a file" if above == whole else f"{above} is no folder"
         raise RecordingError(what, where=str(folder), expected=_EXPECTED)
     if not os.access(above, os.W_OK | os.X_OK):
         raise RecordingError(f"{above} cannot be written", where=str(folder), expected=_EXPECTED)
@@ -40,16 +39,13 @@ def check_folder(folder: str | os.PathLike, inputs: Iterable[str | os.PathLike] 
             raise RecordingError("is a folder", where=str(path), expected="a file, or nothing")
         for other in inputs:
             if path.exists() and os.path.exists(other) and os.path.samefile(path, other):
-                raise RecordingError(
-                    "is an input and would be overwritten", where=str(path), expected="another folder for the report"
-                )
+                raise RecordingError("is an input and would be overwritten", where=str(path), expected="another folder")
 
 
-def write_explanation(explanation: Explanation, folder: str | os.PathLike) -> list[Path]:
+def write_explanation(explanation: Explanation, folder: str | os.PathLike[str]) -> list[Path]:
     """Write report.json, report.html and, where there is a model, model.yaml; returns their paths.
 
-    The folder is made where it is missing. A model.yaml of an earlier explanation is removed
-    where this one has none: beside a DATA_FAULT it would mislead.
+    The folder is made where it is missing. An earlier model.yaml is removed where this explanation has none.
 
     Raises
     ------
@@ -59,7 +55,7 @@ def write_explanation(explanation: Explanation, folder: str | os.PathLike) -> li
     check_folder(folder)
     texts = {REPORT: report_text(explanation), PAGE: page(explanation)}
     if explanation.model is not None:
-        texts[MODEL] = yaml_text(explanation.model.to_mapping())
+        texts[MODEL] = yaml_text(explanation.model.to_mapping())  # type: ignore[attr-defined]
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as reason:

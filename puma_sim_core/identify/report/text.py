@@ -1,21 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""Numbers, units and names as a reader of the report sees them: HTML, already escaped."""
+"""Numbers and names as a reader of the report sees them."""
 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable
-from html import escape
 
 import numpy as np
 
-from puma_sim_core.identify.result import Explanation, Hypothesis, Interval
+from puma_sim_core.identify.result import Explanation, Hypothesis, Interval, NamedEffect, Ranked, RuledOut
+from puma_sim_core.pages.text import DASH, MINUS, SPACE, raised, unit_text
 
-DASH = "\N{EN DASH}"
-MINUS = "\N{MINUS SIGN}"
-SPACE = "\N{NO-BREAK SPACE}"
 #: units that readers know with a prefix
 _SCALED = ("rad", "m", "s", "V", "A")
 _PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
@@ -28,11 +24,6 @@ _HYPHENED = {
 _MECHANISMS = {"puma560": "PUMA 560"}
 
 
-def text(words: object) -> str:
-    """Any words as HTML; what a file name has that is no text becomes a question mark."""
-    return escape(str(words).encode("utf-8", "replace").decode("utf-8"))
-
-
 def number(value: float | None, digits: int = 3) -> str:
     """A number with so many digits that count, a proper minus, and a dash where there is none."""
     if value is None or not math.isfinite(value):
@@ -41,29 +32,12 @@ def number(value: float | None, digits: int = 3) -> str:
         return "0"
     power = math.floor(math.log10(abs(float(f"{value:.{digits - 1}e}"))))
     if not -3 <= power < 6:
-        return (
-            f"{_fixed(value / 10.0**power, digits - 1)}\N{MULTIPLICATION SIGN}"
-            f"10<sup>{str(power).replace('-', MINUS)}</sup>"
-        )
+        return f"{_fixed(value / 10.0**power, digits - 1)}\N{MULTIPLICATION SIGN}{raised(f'10^{power}')}"
     return _fixed(value, max(0, digits - 1 - power))
 
 
 def _fixed(value: float, decimals: int) -> str:
     return f"{value:.{decimals}f}".replace("-", MINUS)
-
-
-def unit(name: str) -> str:
-    """A unit with its points raised, "" for a pure number: N.m.s2/rad2 becomes N·m·s²/rad²."""
-    if name in ("", "1"):
-        return ""
-    shown = re.sub(r"(?<=[A-Za-z])\^?(\d)", r"<sup>\1</sup>", escape(name))
-    return shown.replace(".", "\N{MIDDLE DOT}")
-
-
-def plain_unit(name: str) -> str:
-    """A unit for the letters of a drawing, which has no raised ones."""
-    raised = str.maketrans("0123456789", "\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079")
-    return re.sub(r"(?<=[A-Za-z])\^?(\d)", lambda m: m[1].translate(raised), name).replace(".", "\N{MIDDLE DOT}")
 
 
 def scale(values: Iterable[float], name: str) -> tuple[float, str]:
@@ -81,7 +55,7 @@ def scale(values: Iterable[float], name: str) -> tuple[float, str]:
 def quantity(value: float, name: str) -> str:
     """A number with its unit, in a prefix that reads well."""
     factor, shown = scale([value], name)
-    return f"{number(value * factor)}{SPACE}{unit(shown)}".rstrip(SPACE)
+    return f"{number(value * factor)}{SPACE}{unit_text(shown)}".rstrip(SPACE)
 
 
 def estimate(found: Interval) -> tuple[str, str, str]:
@@ -89,25 +63,23 @@ def estimate(found: Interval) -> tuple[str, str, str]:
     factor, shown = scale([found.value], found.unit)
     value, low, high = (each * factor for each in (found.value, found.low, found.high))
     wide = high - low
-    if not math.isfinite(wide) or wide <= 0.0:
-        ends = [number(low), number(high)]
-        middle = number(value)
+    decimals = 1 - math.floor(math.log10(wide / 2.0)) if math.isfinite(wide) and wide > 0.0 else None
+    if decimals is None:
+        middle, *ends = map(number, (value, low, high))
+    elif decimals > 6 or max(abs(low), abs(high)) >= 1e6:
+        middle, *ends = (number(each, 5) for each in (value, low, high))
     else:
-        decimals = 1 - math.floor(math.log10(wide / 2.0))
-        if decimals > 6 or max(abs(low), abs(high)) >= 1e6:
-            middle, ends = number(value, 5), [number(low, 5), number(high, 5)]
-        else:
-            middle, *ends = (_fixed(each, max(0, decimals)) for each in (value, low, high))
+        middle, *ends = (_fixed(each, max(0, decimals)) for each in (value, low, high))
     words = [end if math.isfinite(each) else "no bound" for end, each in zip(ends, (low, high))]
-    return middle, f"{words[0]} to {words[1]}", unit(shown)
+    return middle, f"{words[0]} to {words[1]}", unit_text(shown)
 
 
-def effect_name(name: str) -> str:
-    """The name of an effect in words."""
+def effect_name(name: str, lower: bool = False) -> str:
+    """The name of an effect in words; `lower`: inside a sentence, where proper names keep their capital."""
     words = " ".join(_PROPER.get(word, word) for word in name.split("_"))
     for apart, together in _HYPHENED.items():
         words = words.replace(apart, together)
-    return text(words[:1].upper() + words[1:])
+    return words if lower else words[:1].upper() + words[1:]
 
 
 def place(joint: int | None) -> str:
@@ -115,21 +87,18 @@ def place(joint: int | None) -> str:
     return "the whole arm" if joint is None else f"joint{SPACE}{joint}"
 
 
-def hypothesis(each: Hypothesis, lower: bool = False) -> str:
+def hypothesis(each: Hypothesis | NamedEffect | Ranked | RuledOut, lower: bool = False) -> str:
     """An effect with its place: "Coulomb friction on joint 2"."""
-    name = effect_name(each.name)
-    if lower and each.name.split("_")[0] not in _PROPER:
-        name = name[:1].lower() + name[1:]
-    return f"{name} {'of' if each.joint is None else 'on'} {place(each.joint)}"
+    return f"{effect_name(each.name, lower)} {'of' if each.joint is None else 'on'} {place(each.joint)}"
 
 
-def listed(words: Iterable[str], last: str = "and") -> str:
+def listed(words: Iterable[str]) -> str:
     """ "a, b and c"."""
-    words = list(words)
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}"
+    *first, last = words
+    return f"{', '.join(first)} and {last}" if first else last
 
 
-def gain(evidence: float) -> str:
+def gain(evidence: float | None) -> str:
     """A gain of evidence with its sign."""
     if evidence is None or not math.isfinite(evidence):
         return DASH
@@ -139,14 +108,7 @@ def gain(evidence: float) -> str:
 
 def mechanism(explanation: Explanation) -> str:
     """The mechanism's name as people write it."""
-    return text(_MECHANISMS.get(explanation.mechanism, explanation.mechanism))
-
-
-def rms(values: np.ndarray) -> float:
-    """Root of the mean square of what is finite; NaN where nothing is."""
-    values = np.asarray(values, dtype=float)
-    values = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(values**2))) if values.size else math.nan
+    return _MECHANISMS.get(explanation.mechanism, explanation.mechanism)
 
 
 def is_augmented(e: Explanation) -> bool:

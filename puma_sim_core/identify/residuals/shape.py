@@ -2,24 +2,23 @@
 # Copyright the puma-sim contributors
 """Free curves: the shape of what no effect of the library explains.
 
-For each joint a bank of curves: piecewise linear over one axis at a time, plain and with the sign of the velocity,
-hystereses, a step in time, and single spectral lines in time and in motor angle. Each is a hypothesis like any other,
-with a Gaussian prior on the heights of its knots. The one with the greatest gain of evidence is the axis, and its
-heights with their band are the curve.
+Each joint has a bank of curves: piecewise linear over one axis, plain or with the sign of the velocity, hystereses, a
+step in time, spectral lines in time and in motor angle. Each is a hypothesis with a Gaussian prior on its heights.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from puma_sim_core.effects.screening import VOLTAGE_COLUMN, Candidate, Signals
-from puma_sim_core.identify.noise import colour
+from puma_sim_core.identify.arrays import Complexes, Floats, Ints
+from puma_sim_core.identify.noise import innovations
 from puma_sim_core.identify.noise.weighting import Weighting
 from puma_sim_core.identify.result import Shape
-from puma_sim_core.identify.screening.causal import CausalScreen
+from puma_sim_core.identify.screening.causal import CausalScreen, Columns, Pairs
 from puma_sim_core.identify.screening.evidence import Scored
 from puma_sim_core.identify.settings import RESIDUALS
 from puma_sim_core.jit import compiled
@@ -32,9 +31,6 @@ _WITH_TORQUE = "in proportion to the torque"
 #: cycles of the motor a turn that are looked for
 _ORDERS = np.round(np.arange(RESIDUALS.orders[0], RESIDUALS.orders[1] + 0.01, RESIDUALS.orders[2]), 2)
 
-#: candidates with the columns that they make in the innovations of each joint
-Pairs = Iterable[tuple[Candidate, dict[int, np.ndarray]]]
-
 
 @dataclass(frozen=True)
 class Axis:
@@ -46,9 +42,9 @@ class Axis:
 
     name: str
     unit: str
-    coordinate: np.ndarray
-    knots: np.ndarray
-    columns: np.ndarray
+    coordinate: Floats
+    knots: Floats
+    columns: Floats
     way: str = ""
 
 
@@ -66,11 +62,12 @@ def axes(signals: Signals, joint: int, position_unit: str = "rad") -> list[Axis]
         ("voltage", "V", signals.voltage[:, joint]),
         ("torque", effort, signals.torque[:, joint]),
     ]
-    for other in range(signals.joints):
-        if other != joint:
-            quantities.append((f"position of joint {other + 1}", u, signals.position[:, other]))
-            quantities.append((f"velocity of joint {other + 1}", f"{u}/s", signals.velocity[:, other]))
-            quantities.append((f"torque of joint {other + 1}", effort, signals.torque[:, other]))
+    for other in (j for j in range(signals.joints) if j != joint):
+        quantities += [
+            (f"position of joint {other + 1}", u, signals.position[:, other]),
+            (f"velocity of joint {other + 1}", f"{u}/s", signals.velocity[:, other]),
+            (f"torque of joint {other + 1}", effort, signals.torque[:, other]),
+        ]
     found = []
     for name, unit, values in quantities:
         low, high = np.quantile(values, RESIDUALS.quantiles)
@@ -89,7 +86,9 @@ def axes(signals: Signals, joint: int, position_unit: str = "rad") -> list[Axis]
             found.append(Axis(name, unit, values, fine, hats(values, fine), _FINE))
         if name in ("position", "voltage"):
             widths = (high - low) * np.array(RESIDUALS.play_widths)
-            found.append(Axis(name, unit, values, widths, _plays(values, signals.segment, widths), _HYSTERESIS))
+            # Prandtl and Ishlinskii: a bank of play operators has the shape of any rate-independent hysteresis
+            plays = [play(np.ascontiguousarray(values), signals.segment, 0.5 * float(width)) for width in widths]
+            found.append(Axis(name, unit, values, widths, np.column_stack(plays), _HYSTERESIS))
     time = signals.time
     first, last = time.min(), time.max()
     count = np.clip((last - first) / RESIDUALS.time_knot, RESIDUALS.least_time_knots, RESIDUALS.most_time_knots)
@@ -100,25 +99,17 @@ def axes(signals: Signals, joint: int, position_unit: str = "rad") -> list[Axis]
     return found
 
 
-def _past_mean(signals: Signals, values: np.ndarray) -> np.ndarray:
-    """(n,) values averaged over a short past: at rest, steps between quanta look like blows."""
+def _past_mean(signals: Signals, values: Floats) -> Floats:
+    """(n,) values averaged over a short past: at rest, steps between quanta look like impacts."""
     rows = max(1, int(RESIDUALS.past / signals.step))
     total = np.cumsum(np.r_[0.0, values])
     first = np.maximum(np.arange(len(values)) + 1 - rows, 0)
-    mean: np.ndarray = (total[1:] - total[first]) / (np.arange(len(values)) + 1 - first)
-    return mean
-
-
-def _plays(values: np.ndarray, segment: np.ndarray, widths: np.ndarray) -> np.ndarray:
-    """(n, k) a quantity less the output of play operators of each width [unit of values]: a bank of Prandtl and
-    Ishlinskii, which has the shape of any rate-independent hysteresis."""
-    return np.column_stack([play(np.ascontiguousarray(values), segment, 0.5 * float(w)) for w in widths])
+    return (total[1:] - total[first]) / (np.arange(len(values)) + 1 - first)
 
 
 @compiled
-def play(values: np.ndarray, segment: np.ndarray, half: float) -> np.ndarray:
-    """values less the output of a play operator of half width `half`, at rest in its middle at the start of each
-    segment. Arrays (n,), returns (n,)."""
+def play(values: Floats, segment: Ints, half: float) -> Floats:
+    """(n,) values less the output of a play operator of half width `half`, centred where a segment starts."""
     out = np.empty_like(values)
     y = values[0]
     for i in range(values.size):
@@ -129,16 +120,14 @@ def play(values: np.ndarray, segment: np.ndarray, half: float) -> np.ndarray:
     return out
 
 
-def hats(values: np.ndarray, knots: np.ndarray) -> np.ndarray:
+def hats(values: Floats, knots: Floats) -> Floats:
     """(n, k) piecewise-linear basis, constant beyond the ends."""
-    eye = np.eye(len(knots))
-    return np.column_stack([np.interp(values, knots, column) for column in eye])
+    return np.column_stack([np.interp(values, knots, column) for column in np.eye(len(knots))])
 
 
 @dataclass(frozen=True)
 class Curve:
-    """A free curve over an axis, or a spectral line (axis None), as scored, with its candidates' columns. way : how the
-    axis acts, as `Axis.way`."""
+    """A free curve over an axis, or a spectral line (axis None), as scored; way : as `Axis.way`."""
 
     scored: Scored
     axis: Axis | None
@@ -154,25 +143,21 @@ class Curve:
     @property
     def candidate(self) -> Candidate:
         """The candidate that fits best."""
-        assert self.scored.entry is not None
-        return self.scored.entry.candidate
+        return self.scored.estimate.entry.candidate
 
     @property
-    def heights(self) -> np.ndarray:
+    def heights(self) -> Floats:
         """(k,) heights at the knots [V], or of sine and cosine."""
-        assert self.scored.coefficients is not None
-        return self.scored.coefficients
+        return self.scored.estimate.coefficients
 
-    def volts(self, causal: CausalScreen) -> np.ndarray:
+    def volts(self, causal: CausalScreen) -> Floats:
         """(N, J) voltage [V] of the curve at the rows before the innovations."""
-        candidate, heights = self.candidate, self.heights
-        if candidate.columns:
-            return causal.volts(candidate, heights)
-        out, j = np.zeros_like(causal.signals.voltage), self.joint - 1
-        phase = 2.0 * np.pi * candidate.grid["frequency"] * causal.signals.time
-        out[:, j] = heights[0] * np.sin(phase) + heights[1] * np.cos(phase)
-        volts: np.ndarray = out * causal.signals.enable
-        return volts
+        if self.candidate.columns:
+            return causal.volts(self.candidate, self.heights)
+        out = np.zeros_like(causal.signals.voltage)
+        phase = 2.0 * np.pi * self.candidate.grid["frequency"] * causal.signals.time
+        out[:, self.joint - 1] = self.heights[0] * np.sin(phase) + self.heights[1] * np.cos(phase)
+        return out * causal.signals.enable
 
 
 def curves(causal: CausalScreen, position_unit: str = "rad", joints: Collection[int] | None = None) -> list[Curve]:
@@ -185,9 +170,7 @@ def curves(causal: CausalScreen, position_unit: str = "rad", joints: Collection[
         if scored is not None:
             found.append(Curve(scored, axis, pairs, way))
 
-    for j in range(signals.joints):
-        if joints is not None and j + 1 not in joints:
-            continue
+    for j in (j for j in range(signals.joints) if joints is None or j + 1 in joints):
         height = RESIDUALS.height * float(signals.volts_per_torque[j] * signals.torque_scale[j])
         for axis in axes(signals, j, position_unit):
             columns = axis.columns * (height / axis.knots[-1]) if axis.way == _HYSTERESIS else axis.columns
@@ -213,7 +196,9 @@ def again(causal: CausalScreen, curve: Curve) -> Curve:
     else:
         lines = _time_lines(causal, joint - 1, float(candidate.deviation[0]))
         pairs = [pair for pair in lines if pair[0].grid["frequency"] == candidate.grid["frequency"]]
-    return replace(curve, scored=causal.score_columns(curve.scored.name, joint, pairs), pairs=pairs)
+    scored = causal.score_columns(curve.scored.name, joint, pairs)
+    assert scored is not None
+    return replace(curve, scored=scored, pairs=pairs)
 
 
 def best_of_joints(found: list[Curve], share: float) -> list[Curve]:
@@ -225,41 +210,40 @@ def best_of_joints(found: list[Curve], share: float) -> list[Curve]:
 
 
 def simplest_first(found: list[Curve]) -> list[Curve]:
-    """The curves with the simplest first of those of the best one's joint that gain nearly as much:
-    one with many knots, as over time, has the shape of anything."""
+    """The curves, first the simplest on the best one's joint that gains nearly as much: many knots fit anything."""
     if not found:
         return found
-    near = [
-        c
-        for c in found
-        if c.scored.joint == found[0].scored.joint and c.scored.gain > RESIDUALS.nearly * found[0].scored.gain
-    ]
+    least = RESIDUALS.nearly * found[0].scored.gain
+    near = [c for c in found if c.joint == found[0].joint and c.scored.gain > least]
     first = min(near or found[:1], key=lambda c: len(c.heights))
     return [first, *(c for c in found if c is not first)]
 
 
-def chance(causal: CausalScreen, found: list[Curve], shifts: np.ndarray) -> float:
+def chance(causal: CausalScreen, found: list[Curve], shifts: Floats) -> float:
     """Greatest gain that chance gives any of the curves, once the best one is taken out."""
-    return float(causal.chance([(curve.scored, curve.pairs) for curve in found], shifts)) if found else 0.0
+    if not found:
+        return 0.0
+    best = found[0]
+    own = next(columns for candidate, columns in best.pairs if candidate is best.candidate)
+    placebos = causal.placebos_without(best.scored.estimate, own, shifts)
+    return max(0.0, *(placebos.greatest(curve.pairs) for curve in found))
 
 
 def noise(causal: CausalScreen, found: list[Curve]) -> Weighting:
     """The weighting by what is left of each joint after the curve that explains it best.
 
-    Each of the first curves of a joint, and none at all, is set beside the others with the noise that it leaves, by the
-    likelihood of the two together: what a curve explains is then no noise, and noise that a curve follows by chance
-    does not make the rest look clear.
+    Each of a joint's first curves, and none at all, is judged by the likelihood with the noise that it leaves.
     """
     predictor, before = causal.predictor, causal.fit.weighting
     alone, taps = causal.left(), []
     for j in range(causal.J):
-        best = colour.noise(predictor, alone[:, j], j, before)
+        best = innovations.noise(predictor, alone[:, j], j, before)
         most = best.log_likelihood
         own = [(c, c.axis) for c in found if c.axis is not None and c.joint == j + 1]
         clear = [(curve, axis) for curve, axis in own if curve.scored.gain > RESIDUALS.clear]
         for curve, axis in clear[: RESIDUALS.most_curves]:
-            left = causal.left(curve.candidate, curve.heights)
-            noise_left = colour.noise(predictor, left[:, j], j, before)
+            left = causal.left(curve.scored.estimate)
+            noise_left = innovations.noise(predictor, left[:, j], j, before)
             worth = noise_left.log_likelihood - RESIDUALS.occam_knot * len(axis.knots)
             if worth > most:
                 best, most = noise_left, worth
@@ -267,17 +251,10 @@ def noise(causal: CausalScreen, found: list[Curve]) -> Weighting:
     return Weighting(np.array(taps), np.ones(len(taps)), predictor.lengths)
 
 
-def _free(coefficients: np.ndarray) -> dict[str, float]:
-    """Any curve is allowed."""
-    return {}
-
-
-def _candidate(
-    columns: Sequence[dict[int, np.ndarray]], height: float, grid: dict[str, float], p: int = 0
-) -> Candidate:
+def _candidate(columns: Sequence[dict[int, Floats]], height: float, grid: dict[str, float], p: int = 0) -> Candidate:
     """A curve with a prior on its heights [V]. p : number of these, where there are no columns."""
     p = p or len(columns)
-    return Candidate(tuple(columns), VOLTAGE_COLUMN, np.zeros(p), np.full(p, height), _free, grid)
+    return Candidate(tuple(columns), VOLTAGE_COLUMN, np.zeros(p), np.full(p, height), lambda heights: {}, grid)
 
 
 def _step(causal: CausalScreen, j: int, height: float) -> tuple[Pairs, Axis]:
@@ -285,16 +262,21 @@ def _step(causal: CausalScreen, j: int, height: float) -> tuple[Pairs, Axis]:
     time = causal.signals.time
     first, last = float(time.min()), float(time.max())
 
-    def at(places: np.ndarray) -> list[tuple[Candidate, dict[int, np.ndarray]]]:
+    def at(places: Floats) -> list[tuple[Candidate, Columns]]:
         grids = [{"height": height, "time": float(place)} for place in places]
         steps = [_candidate([{j: (time > grid["time"]).astype(float)}], height, grid) for grid in grids]
         return [(candidate, causal.columns(candidate)) for candidate in steps]
 
+    def best(pairs: Pairs) -> Candidate:
+        scored = causal.score_columns("time", j + 1, pairs)
+        assert scored is not None
+        return scored.estimate.entry.candidate
+
     apart = min(RESIDUALS.step_distance, (last - first) / RESIDUALS.least_steps)
     coarse = at(np.arange(first + apart, last - 0.5 * apart, apart))
-    best = causal.score_columns("time", j + 1, coarse).entry.candidate.grid["time"]
-    pairs = coarse + at(np.linspace(best - apart, best + apart, RESIDUALS.steps_about + 1)[1:-1])
-    candidate = causal.score_columns("time", j + 1, pairs).entry.candidate
+    about = best(coarse).grid["time"]
+    pairs = coarse + at(np.linspace(about - apart, about + apart, RESIDUALS.steps_about + 1)[1:-1])
+    candidate = best(pairs)
     knots = np.array([first, candidate.grid["time"], candidate.grid["time"], last])
     return pairs, Axis("time", "s", time, knots, candidate.columns[0][j][:, None], _STEP)
 
@@ -310,48 +292,42 @@ def _time_lines(causal: CausalScreen, j: int, height: float) -> _Lines:
 
 @dataclass(frozen=True)
 class _Lines:
-    """(candidate, its columns) of each spectral line in time. Their number grows with the length of the log, as does a
-    column: all at once they would take gigabytes."""
+    """(candidate, its columns) of each spectral line in time, one by one: of a long log all would take gigabytes."""
 
     joint: int
-    time: np.ndarray
-    gains: np.ndarray
-    frequencies: np.ndarray
+    time: Floats
+    gains: Complexes
+    frequencies: Floats
     candidates: list[Candidate]
 
     def __len__(self) -> int:
         return len(self.candidates)
 
-    def __iter__(self) -> Iterator[tuple[Candidate, dict[int, np.ndarray]]]:
+    def __iter__(self) -> Iterator[tuple[Candidate, Columns]]:
         for candidate, f, gain in zip(self.candidates, self.frequencies, self.gains):
             phase = 2.0 * np.pi * f * self.time + np.angle(gain)
             yield candidate, {self.joint: abs(gain) * np.column_stack([np.sin(phase), np.cos(phase)])}
 
 
-def _angle_lines(causal: CausalScreen, j: int, height: float, factor: np.ndarray | float) -> Pairs:
+def _angle_lines(causal: CausalScreen, j: int, height: float, factor: Floats | float) -> Pairs:
     """(candidate, its columns) of each line in motor angle, times a factor (n,) or 1.0."""
     signals = causal.signals
     speed = np.abs(signals.velocity[:, j]) * signals.gear[j] / (2.0 * np.pi)
     pairs = []
     for order in _ORDERS:
-        if (order * speed < causal.problem.sampled.cutoffs[1]).mean() < RESIDUALS.least_order_rows:
-            continue
-        phase = order * signals.gear[j] * signals.position[:, j]
-        columns = [{j: factor * np.sin(phase)}, {j: factor * np.cos(phase)}]
-        candidate = _candidate(columns, height, {"order": float(order)})
-        pairs.append((candidate, causal.columns(candidate)))
+        if (order * speed < causal.problem.sampled.cutoffs[1]).mean() >= RESIDUALS.least_order_rows:
+            phase = order * signals.gear[j] * signals.position[:, j]
+            columns = [{j: factor * np.sin(phase)}, {j: factor * np.cos(phase)}]
+            candidate = _candidate(columns, height, {"order": float(order)})
+            pairs.append((candidate, causal.columns(candidate)))
     return pairs
 
 
 def describe(best: Curve, ranking: tuple[tuple[str, float], ...]) -> Shape:
     """The best curve with its 95 % band."""
-    axis, heights, covariance, grid = best.axis, best.heights, best.scored.covariance, best.candidate.grid
-    assert covariance is not None
+    axis, heights, covariance, grid = best.axis, best.heights, best.scored.estimate.covariance, best.candidate.grid
     spread = RESIDUALS.normal_quantile * np.sqrt(np.diag(covariance))
     name, unit, way, frequency = "motor_angle", "rad", best.way, grid.get("frequency")
-    centre: np.ndarray
-    curve: np.ndarray
-    band: np.ndarray
     if axis is None:
         phase = np.linspace(0.0, 2.0 * np.pi, RESIDUALS.line_points)
         curve = heights[0] * np.sin(phase) + heights[1] * np.cos(phase)

@@ -1,43 +1,53 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""Hypotheses against the innovations of an observer, linear and without bias (step 4).
+"""Hypotheses against the innovations of a Kalman predictor, linear and without bias.
 
-A part x(t) of the voltage that the model lacks shows in its innovations as x through the response
-of the observer. Columns are made of the motion that the observer predicts and of voltages of
-before: of nothing that the innovation of the moment, or a controller that answers to it, has
-touched. So a delay or an elasticity gets no evidence from feedback. Innovations and columns are
-averaged over blocks of rows that are short beside anything the columns do.
+A part x(t) of the voltage that the model lacks shows in its innovations as x through the response of the predictor.
+Columns are made of the motion that it predicts and of earlier voltages: of nothing that the present innovation, or a
+controller that answers to it, has changed. So a delay or an elasticity gets no evidence from feedback. Innovations and
+columns are averaged over blocks of rows that are short beside anything the columns do.
 """
 
 from __future__ import annotations
 
-from functools import lru_cache
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import cho_factor, cho_solve
 
+from puma_sim_core.effects import Kind
 from puma_sim_core.effects.screening import TORQUE_COLUMN, Candidate, Signals
+from puma_sim_core.identify.arrays import Complexes, Floats, log_rows
+from puma_sim_core.identify.data.sampling import Trajectory
 from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
-from puma_sim_core.identify.screening.evidence import Entry, log_gain, scored_of
-from puma_sim_core.identify.settings import SCREENING
+from puma_sim_core.identify.screening.evidence import Entry, Estimate, Scored, log_gain, score, scored_of
+from puma_sim_core.identify.screening.hypotheses import by_joint, candidates, signals_of
+from puma_sim_core.identify.screening.problem import Problem
+from puma_sim_core.identify.settings import SCREENING, SELECTION
+
+#: joint (0-based) -> its columns (b, p)
+Columns = Mapping[int, Floats]
+#: candidates, each with its columns in the innovations
+Pairs = Iterable[tuple[Candidate, Columns]]
 
 
 class CausalScreen:
-    """The innovations of one fitted model, ready to be asked for hypotheses.
+    """The innovations of one fitted model, ready to score hypotheses.
 
-    fit : `PredictionFit`; point : the model; errors (N, J): its white innovations; jacobian
-    (N', p): their derivatives by the parameters, at the rows to fit, per deviation.
+    point : the model; errors (N, J) : its innovations after whitening; jacobian (N', p) : their derivatives by the
+    parameters, at the rows to fit, per deviation.
     """
 
-    def __init__(self, fit: PredictionFit, point: Point, errors: np.ndarray, jacobian: np.ndarray, problem):
+    def __init__(self, fit: PredictionFit, point: Point, errors: Floats, jacobian: Floats, problem: Problem):
         self.fit = fit
         self.predictor = fit.predictor
         self.point = point
         self.problem = problem
         self.block = max(1, int(SCREENING.causal_block / self.predictor.step))
         self.errors = errors
-        self._spectra: dict = {}
+        self._spectra: dict[tuple[int, int], tuple[int, Complexes]] = {}
         rows = fit.rows
         self.J = errors.shape[1]
         self.lengths = self.predictor.lengths
@@ -47,117 +57,103 @@ class CausalScreen:
         self.jacobian = np.zeros((*errors.shape, p))
         self.jacobian[rows] = jacobian
         self.N = [self._blocks(self.jacobian[:, j], j) for j in range(self.J)]
-        prior = np.full(p, 1e-4)
-        prior[: len(fit.mechanism.start)] = 1.0
-        A = np.diag(prior) + sum(N.T @ N for N in self.N)
-        self.factor = cho_factor(A, lower=True)
-        # the gradient of the prior: the fit need not have come to its very end
         m = fit.mechanism
+        prior = np.full(p, SCREENING.causal_precision)
+        prior[: len(m.start)] = 1.0
+        self.factor = cho_factor(np.diag(prior) + sum(N.T @ N for N in self.N), lower=True)
+        # the gradient of the prior: the fit need not have come to its very end
         pull = np.zeros(p)
         pull[: len(m.start)] = (point.theta - m.start) / m.deviations
-        self.Ny = sum(N.T @ y for N, y in zip(self.N, self.y)) + pull
+        self.Ny = self._nuisance(self.y) + pull
         self.scaled = cho_solve(self.factor, self.Ny)
-        self.signals = self._signals(point)
+        self.signals = self._signals()
 
-    def _mean(self, values: np.ndarray) -> np.ndarray:
+    def _nuisance(self, ys: Sequence[Floats]) -> Floats:
+        """(p, ...) N'y of blocks (b, ...) of each joint."""
+        return sum(N.T @ y for N, y in zip(self.N, ys))
+
+    def _mean(self, values: Floats) -> Floats:
         """(blocks, ...) means over blocks of rows, log by log."""
-        parts, start = [], 0
-        for n in self.lengths:
-            k = n // self.block
-            part = values[start : start + k * self.block]
+        parts = []
+        for rows in log_rows(self.lengths):
+            k = (rows.stop - rows.start) // self.block
+            part = values[rows.start : rows.start + k * self.block]
             parts.append(part.reshape(k, self.block, *values.shape[1:]).mean(axis=1))
-            start += n
         return np.concatenate(parts)
 
-    def _blocks(self, values, joint) -> np.ndarray:
+    def _blocks(self, values: Floats, joint: int) -> Floats:
         return self._mean(values)[self.usable[joint]] * np.sqrt(self.block)
 
-    def _signals(self, point: Point) -> Signals:
-        """Signals of the motion that the observer predicts, voltages of the rows before."""
-        f = self.fit
-        plant = f.mechanism.plant(point.theta, point.effects)
-        parts = self.predictor.tracked(plant)
-        q = np.concatenate([t.position for t in parts])
-        qd = np.concatenate([t.velocity for t in parts])
-        qdd, volts, time, segment, enable = [], [], [], [], []
-        for number, (t, s) in enumerate(zip(parts, self.predictor.stretches)):
-            h = np.diff(s.time)[:, None]
-            before = t.velocity + self.predictor.gain[:, 1] * t.innovation
+    def _signals(self) -> Signals:
+        """Signals of the motion that the predictor gives, voltages of the rows before."""
+        p, m, s = self.predictor, self.fit.mechanism, self.problem.sampled
+        tracked = p.tracked(m.plant(self.point.theta, self.point.effects))
+        acceleration = []
+        for t, stretch in zip(tracked, p.stretches):
+            corrected = t.velocity + p.gain[:, 1] * t.innovation
             change = np.diff(t.velocity, axis=0, prepend=t.velocity[:1])
-            change[1:] = t.velocity[1:] - before[:-1]
-            qdd.append(change / h)
-            volts.append(s.voltage[:-1])
-            time.append(s.time[1:])
-            segment.append(np.full(len(s.time) - 1, number))
-            enable.append(np.ones_like(s.voltage[:-1]) if s.enable is None else s.enable[:-1])
-        return self.problem.signals(
-            point.theta,
-            motion=(
-                np.concatenate(time),
-                self.predictor.step,
-                np.concatenate(segment),
-                np.concatenate(volts),
-                np.concatenate(enable),
-                q,
-                qd,
-                np.concatenate(qdd),
+            change[1:] = t.velocity[1:] - corrected[:-1]
+            acceleration.append(change / np.diff(stretch.time)[:, None])
+        motion = Trajectory(
+            time=np.concatenate([x.time[1:] for x in p.stretches]),
+            step=p.step,
+            segment=np.concatenate([np.full(n, number) for number, n in enumerate(self.lengths)]),
+            voltage=np.concatenate([x.voltage[:-1] for x in p.stretches]),
+            enable=np.concatenate(
+                [np.ones_like(x.voltage[:-1]) if x.enable is None else x.enable[:-1] for x in p.stretches]
             ),
+            position=np.concatenate([t.position for t in tracked]),
+            velocity=np.concatenate([t.velocity for t in tracked]),
+            acceleration=np.concatenate(acceleration),
         )
+        return signals_of(m, self.point.theta, motion, s.velocity_noise, s.quantum)
 
-    def columns(self, candidate: Candidate) -> dict[int, np.ndarray]:
-        """Joint -> (b, p) white innovations that unit coefficients would make, in blocks."""
-        return {j: self._blocks(full, j) for j, full in self._white(candidate).items()}
+    def columns(self, candidate: Candidate) -> Columns:
+        """Joint -> (b, p) whitened innovations that unit coefficients would make, in blocks."""
+        return {j: self._blocks(full, j) for j, full in self._innovations(candidate).items()}
 
-    def left(self, candidate: Candidate | None = None, coefficients=None) -> np.ndarray:
-        """(N, J) white innovations at the rows to fit, 0 elsewhere, that a hypothesis leaves when
-        the parameters have answered to it; None: that the parameters alone leave."""
-        made = {} if candidate is None else {j: x @ coefficients for j, x in self._white(candidate).items()}
+    def left(self, best: Estimate | None = None) -> Floats:
+        """(N, J) innovations after whitening at the rows to fit, 0 elsewhere, that a hypothesis leaves when the
+        parameters have answered to it; None: that the parameters alone leave."""
+        made = {}
+        if best is not None:
+            made = {j: x @ best.coefficients for j, x in self._innovations(best.entry.candidate).items()}
         pulled = self.Ny - sum(self.N[j].T @ self._blocks(x[:, None], j)[:, 0] for j, x in made.items())
         left = self.errors - self.jacobian @ cho_solve(self.factor, pulled)
         for j, x in made.items():
             left[:, j] -= x
         return np.where(self.fit.rows, left, 0.0)
 
-    def volts(self, candidate: Candidate, coefficients) -> np.ndarray:
-        """(N, J) voltage [V] of a hypothesis whose columns are voltages, at the rows before the
-        innovations."""
+    def volts(self, candidate: Candidate, coefficients: Floats) -> Floats:
+        """(N, J) voltage [V] of a hypothesis whose columns are voltages, at the rows before the innovations."""
         out = np.zeros_like(self.signals.voltage)
         for column, c in zip(candidate.columns, coefficients):
             for j, values in column.items():
                 out[:, j] += c * values
         return out * self.signals.enable
 
-    def _white(self, candidate: Candidate) -> dict[int, np.ndarray]:
-        """Joint -> (N, p) white innovations that unit coefficients would make."""
-        p = len(candidate.mean)
-        joints = sorted({j for column in candidate.columns for j in column})
-        s = self.signals
-        out = {}
-        for j in joints:
-            full = np.zeros((len(s.time), p))
-            for c, column in enumerate(candidate.columns):
-                if j in column:
-                    full[:, c] = column[j]
+    def _innovations(self, candidate: Candidate) -> dict[int, Floats]:
+        """Joint -> (N, p) whitened innovations that unit coefficients would make."""
+        s, out = self.signals, by_joint(candidate, len(self.signals.time))
+        for j, full in out.items():
             if candidate.unit == TORQUE_COLUMN:
                 full *= s.volts_per_torque[j]
                 if s.lag[j] > 0.0:
                     full = full + s.lag[j] * np.gradient(full, s.step, axis=0)
             full *= s.enable[:, j : j + 1]
-            start = 0
-            for n in self.lengths:
-                rows = slice(start, start + n)
+            for rows in log_rows(self.lengths):
+                n = rows.stop - rows.start
                 size, spectrum = self._spectrum(j, n)
                 full[rows] = irfft(rfft(full[rows], size, axis=0) * spectrum, size, axis=0)[:n]
-                start += n
             out[j] = full
         return out
 
-    def _response(self, joint: int) -> np.ndarray:
-        """White innovations of a joint after a volt in one row."""
+    def _response(self, joint: int) -> Floats:
+        """Whitened innovations of a joint after a volt in one row."""
         w = self.fit.weighting
         return np.convolve(self.predictor.responses[joint], w.filters[joint]) / w.scale[joint]
 
-    def _spectrum(self, joint: int, rows: int) -> tuple[int, np.ndarray]:
+    def _spectrum(self, joint: int, rows: int) -> tuple[int, Complexes]:
         """Size of the transforms that convolve so many rows, and the response's one (f, 1)."""
         if (joint, rows) not in self._spectra:
             response = self._response(joint)
@@ -165,85 +161,83 @@ class CausalScreen:
             self._spectra[joint, rows] = size, rfft(response, size)[:, None]
         return self._spectra[joint, rows]
 
-    def score(self, name: str, joint: int | None, candidates, shifts=None):
-        """`Scored` of one hypothesis, None without candidates; with shifts (k,), also the gains
-        (k,) of placebos."""
-        return self.score_columns(name, joint, [(c, self.columns(c)) for c in candidates], shifts)
+    def pairs(self, kind: Kind, joint: int | None) -> list[tuple[Candidate, Columns]]:
+        """The candidates of a hypothesis with their columns; joint 1-based, None for the whole arm."""
+        return [(c, self.columns(c)) for c in candidates(kind, joint, self.signals)]
 
-    def score_columns(self, name, joint, pairs, shifts=None):
+    def score(self, kind: Kind, joint: int | None) -> Scored | None:
+        """A hypothesis as scored, None without candidates."""
+        return self.score_columns(kind.name, joint, self.pairs(kind, joint))
+
+    def score_columns(self, name: str, joint: int | None, pairs: Pairs) -> Scored | None:
         """`score` for (candidate, its columns) pairs."""
-        rows, chance = [], None
+        rows = []
         for c, X in pairs:
-            G, NX = self._gram(X)
+            G, NX = self.gram_of(X)
             b = sum(x.T @ self.y[j] for j, x in X.items()) - NX.T @ self.scaled
-            gain, coefficients, covariance = log_gain(G, b, c.mean, c.deviation)
-            gain = float(gain) - np.log(c.tried)
-            likelihood = 0.5 * float(coefficients @ (2.0 * b - G @ coefficients))
-            entry = Entry(0, c, slice(0, len(c.mean)))
-            rows.append((gain, entry, coefficients, covariance, likelihood))
-            if shifts is not None:
-                gains = self._placebo(c, X, NX, G, shifts) - np.log(c.tried)
-                chance = gains if chance is None else np.logaddexp(chance, gains)
-        if not rows:
-            return None
-        scored = scored_of(name, joint, rows)
-        if shifts is None:
-            return scored
-        return scored, chance - np.log(len(rows))
+            rows.append(score(Entry(0, c, slice(0, len(c.mean))), G, b))
+        return scored_of(name, joint, rows) if rows else None
 
-    def chance(self, scored: list, shifts) -> float:
-        """Greatest gain of placebos: the innovations after the best of several explanations,
-        shifted in a circle, against all of them.
+    def placebos(self, shifts: Floats) -> Placebos:
+        """The innovations, shifted in a circle by shares (k,) of their length."""
+        return self._placebos(self.y, shifts)
 
-        scored : (`Scored`, its (candidate, columns) pairs) of each, the best one first.
-        """
-        best, pairs = scored[0]
-        own = next(X for c, X in pairs if c is best.entry.candidate)
+    def placebos_without(self, best: Estimate, own: Columns, shifts: Floats) -> Placebos:
+        """`placebos` of what an explanation leaves, when the parameters have answered to it. own : its columns."""
         left = [y.copy() for y in self.y]
         for j, x in own.items():
             left[j] -= x @ best.coefficients
-        Ny = sum(N.T @ y for N, y in zip(self.N, left))
-        left = [y - N @ cho_solve(self.factor, Ny) for y, N in zip(left, self.N)]
-        ys = [np.column_stack([np.roll(y, int(s * len(y))) for s in shifts]) for y in left]
-        pulled = cho_solve(self.factor, sum(N.T @ y for N, y in zip(self.N, ys)))
-        greatest = 0.0
-        for _, pairs in scored:
-            total = None
-            for c, X in pairs:
-                G, NX = self._gram(X)
-                b = sum(x.T @ ys[j] for j, x in X.items()) - NX.T @ pulled
-                gain = log_gain(G, b, c.mean, c.deviation)[0]
-                total = gain if total is None else np.logaddexp(total, gain)
-            greatest = max(greatest, float(np.max(total - np.log(len(pairs)))))
-        return greatest
+        Ny = self._nuisance(left)
+        return self._placebos([y - N @ cho_solve(self.factor, Ny) for y, N in zip(left, self.N)], shifts)
 
-    def gram(self, candidate: Candidate) -> np.ndarray:
+    def _placebos(self, y: Sequence[Floats], shifts: Floats) -> Placebos:
+        ys = [np.column_stack([np.roll(own, int(s * len(own))) for s in shifts]) for own in y]
+        return Placebos(self, ys, cho_solve(self.factor, self._nuisance(ys)))
+
+    def gram(self, candidate: Candidate) -> Floats:
         """(p, p) X'PX of a candidate."""
-        return self._gram(self.columns(candidate))[0]
+        return self.gram_of(self.columns(candidate))[0]
 
-    def _gram(self, X):
-        NX = sum(self.N[j].T @ x for j, x in X.items())
-        return sum(x.T @ x for x in X.values()) - NX.T @ cho_solve(self.factor, NX), NX
+    def gram_of(self, X: Columns) -> tuple[Floats, Floats]:
+        """X'PX (p, p), and N'X."""
+        NX: Floats = sum(self.N[j].T @ x for j, x in X.items())
+        G: Floats = sum(x.T @ x for x in X.values()) - NX.T @ cho_solve(self.factor, NX)
+        return G, NX
 
-    def block_times(self, joint: int) -> np.ndarray:
+    def block_times(self, joint: int) -> Floats:
         """(b,) times [s] of the blocks of a joint."""
         return self._mean(self.signals.time)[self.usable[joint]]
 
-    def response(self, joint: int, frequency: np.ndarray) -> np.ndarray:
-        """Complex white innovation of a joint per volt at frequencies [Hz], blocks averaged."""
+    def response(self, joint: int, frequency: Floats) -> Complexes:
+        """Whitened innovation of a joint per volt at frequencies [Hz], blocks averaged."""
         h = self.predictor.step
         taps = self._response(joint)
         turn = np.exp(-2j * np.pi * np.outer(frequency, np.arange(len(taps))) * h)
         x = np.pi * np.asarray(frequency) * h * self.block
         return turn @ taps * np.sinc(x / np.pi) * np.sqrt(self.block)
 
-    def _placebo(self, c, X, NX, G, shifts):
-        ys, pulled = self._shifted(tuple(shifts))
-        b = sum(x.T @ ys[j] for j, x in X.items()) - NX.T @ pulled
-        return log_gain(G, b, c.mean, c.deviation)[0]
 
-    @lru_cache(maxsize=2)
-    def _shifted(self, shifts):
-        """Innovations (J) shifted in a circle (b, k), and what the parameters make of them."""
-        ys = [np.column_stack([np.roll(y, int(s * len(y))) for s in shifts]) for y in self.y]
-        return ys, cho_solve(self.factor, sum(N.T @ y for N, y in zip(self.N, ys)))
+def placebo_shifts(seed: int) -> Floats:
+    """(k,) shifts of placebos, as shares of the record."""
+    return np.sort(np.random.default_rng(seed).uniform(*SELECTION.placebo_shifts, SELECTION.placebos))
+
+
+@dataclass(frozen=True)
+class Placebos:
+    """Innovations shifted in a circle: what a hypothesis gains of them is chance.
+
+    ys : for each joint (b, k), one column a shift; pulled (p, k) : what the parameters make of them.
+    """
+
+    screen: CausalScreen
+    ys: list[Floats]
+    pulled: Floats
+
+    def greatest(self, pairs: Pairs) -> float:
+        """Greatest gain [nat] of a hypothesis by its (candidate, columns) pairs, 0 without any."""
+        gains = []
+        for c, X in pairs:
+            G, NX = self.screen.gram_of(X)
+            b = sum(x.T @ self.ys[j] for j, x in X.items()) - NX.T @ self.pulled
+            gains.append(log_gain(G, b, c.mean, c.deviation)[0] - np.log(c.tried))
+        return float(np.max(np.logaddexp.reduce(gains) - np.log(len(gains)))) if gains else 0.0

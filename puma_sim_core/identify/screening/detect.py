@@ -2,59 +2,56 @@
 # Copyright the puma-sim contributors
 """What the log could have shown: the smallest size of each effect that would have been named.
 
-A coefficient of size c along a column with X'PX = G raises the log evidence by c^2 G / 2 less the
-price of its prior. The size where that reaches the threshold of a name is the smallest that
-the log could show; where it is larger than any plausible size, the log does not excite the
-effect, and says nothing of it.
+A coefficient of size c along a column with X'PX = G raises the log evidence by c^2 G / 2 less the Occam factor of its
+prior. The size where that reaches the threshold of a name is the smallest that the log could show; where it is larger
+than any plausible size, the log does not excite the effect.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+
 import numpy as np
 
-from puma_sim_core.effects.screening import Illegal
+from puma_sim_core.effects import Kind
+from puma_sim_core.effects.screening import Candidate, Illegal
+from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.result import Detectable
 
 
-def detectable(name: str, joint: int | None, kind, pairs, threshold: float) -> Detectable:
+def detectable(
+    kind: Kind, joint: int | None, pairs: Iterable[tuple[Candidate, Floats]], threshold: float
+) -> Detectable:
     """The row of one hypothesis.
 
     pairs : (candidate, X'PX of its columns); threshold : gain of log evidence of a name [nat].
     """
     limits = {p: (low, high) for p, low, high in kind.plausible}
-    parameter = next(iter(limits), kind.parameters[0].name)
-    unit = next(p.unit for p in kind.parameters if p.name == parameter)
-    sizes = [_size(c, G, parameter, threshold) for c, G in pairs]
-    sizes = [size for size in sizes if size is not None]
+    parameter = kind.parameter(next(iter(limits), kind.parameters[0].name))
+    sizes = [size for c, G in pairs for size in _sizes(c, G, parameter.name, threshold)]
     # a small stiffness is a great effect: there the largest value that shows is the limit
-    falling = kind.parameter(parameter).inverse
-    size = (max(sizes) if falling else min(sizes)) if sizes else np.inf
-    low, high = limits.get(parameter, (0.0, np.inf))
-    excited = bool(np.isfinite(size) and (size >= low if falling else size <= high))
-    return Detectable(name, joint, parameter, float(size), unit, excited)
+    size = (max if parameter.inverse else min)(sizes, default=np.inf)
+    low, high = limits.get(parameter.name, (0.0, np.inf))
+    excited = bool(np.isfinite(size) and (size >= low if parameter.inverse else size <= high))
+    return Detectable(kind.name, joint, parameter.name, float(size), parameter.unit, excited)
 
 
-def _size(c, G, parameter, threshold) -> float | None:
-    """Value of the parameter at which this candidate would be named, None if it would not."""
+def _sizes(c: Candidate, G: Floats, parameter: str, threshold: float) -> Sequence[float]:
+    """The value of the parameter at which this candidate would be named, none if it would not."""
+    # along the coefficients of a typical effect
+    coefficients = np.where(c.mean != 0.0, c.mean, c.deviation)
     if c.fixed:
-        gain = 0.5 * float(c.mean @ G @ c.mean)
-        if gain < threshold:
-            return None
-        return _value(c, c.mean, parameter)
-    price = 0.5 * float(np.linalg.slogdet(np.eye(len(G)) + c.deviation[:, None] * G * c.deviation)[1])
-    # along the coefficients of a typical effect of this kind
-    direction = np.where(c.mean != 0.0, c.mean, c.deviation)
-    power = float(direction @ G @ direction)
-    if not power > 0.0:
-        return None
-    scale = np.sqrt(2.0 * (threshold + price) / power)
-    return _value(c, scale * direction, parameter)
-
-
-def _value(candidate, coefficients, parameter) -> float | None:
+        coefficients = c.mean
+        if 0.5 * float(c.mean @ G @ c.mean) < threshold:
+            return ()
+    else:
+        occam = 0.5 * float(np.linalg.slogdet(np.eye(len(G)) + c.deviation[:, None] * G * c.deviation)[1])
+        power = float(coefficients @ G @ coefficients)
+        if not power > 0.0:
+            return ()
+        coefficients = np.sqrt(2.0 * (threshold + occam) / power) * coefficients
     try:
-        values = candidate.values(coefficients)
+        values = c.values(coefficients)
     except Illegal:
-        # larger than the legal range: certainly not excited
-        return np.inf
-    return abs(values[parameter]) if parameter in values else None
+        return (np.inf,)  # larger than the legal range: certainly not excited
+    return (abs(values[parameter]),) if parameter in values else ()

@@ -1,21 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""Marginal likelihood of hypotheses in closed form, parameters always competing (step 4).
+"""Marginal likelihood of hypotheses in closed form, parameters always competing.
 
-The whitened residual is y = N a + X b + e: N the derivatives by the mechanism's parameters and the
-columns of effects that are already in the model, X those of a hypothesis, all coefficients
-Gaussian beforehand. With a integrated out, the gain of log evidence by X needs X'PX and X'Py
-only, P = 1 - N (S^-2 + N'N)^-1 N'.
+The whitened residual is y = N a + X b + e: N the derivatives by the mechanism's parameters and the columns of effects
+that are in the model already, X those of a hypothesis, all coefficients with Gaussian priors. With a integrated out,
+the gain of log evidence by X needs X'PX and X'Py only, P = 1 - N (S^-2 + N'N)^-1 N'.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from puma_sim_core.effects.screening import Candidate, Illegal
+from puma_sim_core.identify.arrays import Floats, Ints
+from puma_sim_core.identify.settings import SCREENING
+
+#: (name, joint 1-based, None for the whole arm) of an effect
+Key = tuple[str, int | None]
+#: makes the kept rows of a joint independent and of variance 1
+Whitening = Callable[[Floats], Floats]
+
+#: joint -> (m, p) columns of a candidate
+Reduction = Callable[[Candidate], dict[int, Floats]]
 
 
 @dataclass(frozen=True)
@@ -30,105 +41,103 @@ class Entry:
 class Bank:
     """The columns of all candidates, as they are at the kept rows [V].
 
-    hypotheses : (name, joint 1-based or None) of each; entries; at[j]: for joint j the numbers of
-    the columns that touch it; values[j]: (m, len(at[j])).
+    hypotheses : (name, joint 1-based or None) of each; entries; at[j] : for joint j the numbers of the columns that
+    touch it; values[j] : (m, len(at[j])), None without any.
     """
 
     def __init__(self, joints: int):
-        self.hypotheses: list[tuple[str, int | None]] = []
+        self.hypotheses: list[Key] = []
         self.entries: list[Entry] = []
         self.width = 0
-        self._parts = [[] for _ in range(joints)]
-        self._at = [[] for _ in range(joints)]
+        self._parts: list[list[Floats]] = [[] for _ in range(joints)]
+        self._at: list[list[int]] = [[] for _ in range(joints)]
 
-    def add(self, name: str, joint: int | None, candidates, reduce) -> None:
-        """Add one hypothesis; reduce: candidate -> {joint: (m, p)}."""
+    def add(self, name: str, joint: int | None, candidates: Iterable[Candidate], reduce: Reduction) -> None:
+        """Add one hypothesis."""
         number = len(self.hypotheses)
         self.hypotheses.append((name, joint))
         for candidate in candidates:
-            p = len(candidate.mean)
-            columns = slice(self.width, self.width + p)
+            columns = slice(self.width, self.width + len(candidate.mean))
             for j, values in reduce(candidate).items():
                 self._parts[j].append(values)
                 self._at[j] += range(columns.start, columns.stop)
-            self.width += p
+            self.width = columns.stop
             self.entries.append(Entry(number, candidate, columns))
 
     def freeze(self) -> None:
         """Join the columns once all hypotheses are there."""
-        self.at = [np.array(at, dtype=int) for at in self._at]
+        self.at: list[Ints] = [np.array(at, dtype=int) for at in self._at]
         self.values = [np.hstack(parts) if parts else None for parts in self._parts]
 
-    def columns_of(self, entry: Entry) -> dict[int, np.ndarray]:
-        """Joint -> (m, p) of one candidate."""
-        out = {}
-        for j, at in enumerate(self.at):
-            first = np.searchsorted(at, entry.columns.start)
-            if first < len(at) and at[first] == entry.columns.start:
-                out[j] = self.values[j][:, first : first + entry.columns.stop - entry.columns.start]
+    def columns_of(self, entry: Entry, values: Sequence[Floats | None] | None = None) -> dict[int, Floats]:
+        """Joint -> (m, p) of one candidate, of `values` or of other values in their place."""
+        out, c = {}, entry.columns
+        for j, (at, all_values) in enumerate(zip(self.at, values or self.values)):
+            first = int(np.searchsorted(at, c.start))
+            if all_values is not None and first < len(at) and at[first] == c.start:
+                out[j] = all_values[:, first : first + c.stop - c.start]
         return out
+
+
+class Estimate(NamedTuple):
+    """A candidate as scored: gains of log evidence and of log likelihood [nat], coefficients (p,), their covariance."""
+
+    gain: float
+    entry: Entry
+    coefficients: Floats
+    covariance: Floats
+    likelihood: float
 
 
 @dataclass(frozen=True)
 class Scored:
-    """A hypothesis against the base: gain of log evidence, averaged over the grid; its best legal
-    candidate with coefficients (p,) and their covariance; why it is illegal, None if it is not;
-    price: what the gain is less than that of the likelihood, for coefficients that were free."""
+    """A hypothesis against the base.
+
+    gain : of log evidence [nat], averaged over the grid; best : its best legal candidate, else its best one, None where
+    it was not screened; values : of the parameters, None without a legal candidate; occam : what the gain is less than
+    that of the likelihood [nat], for coefficients that were free.
+    """
 
     name: str
     joint: int | None
     gain: float
-    best_gain: float
-    entry: Entry | None
-    coefficients: np.ndarray | None
-    covariance: np.ndarray | None
-    values: dict[str, float] | None
-    illegal: str | None = None
-    price: float = 0.0
+    best: Estimate | None = None
+    values: dict[str, float] | None = None
+    occam: float = 0.0
+
+    @property
+    def key(self) -> Key:
+        """(name, joint)."""
+        return self.name, self.joint
+
+    @property
+    def estimate(self) -> Estimate:
+        """`best` of a hypothesis that was screened."""
+        assert self.best is not None
+        return self.best
 
 
 class Base:
     """Whitened residual with its nuisance columns.
 
-    whiteners: one a joint; y: (m, J) residual about the prior mean [V]; nuisance (m, J, p) [V];
-    deviation (p,) prior.
+    whiteners : one a joint; y (m, J) : residual about the prior mean [V]; nuisance (m, J, p) [V]; deviation (p,) prior.
     """
 
-    def __init__(self, whiteners, y: np.ndarray, nuisance: np.ndarray, deviation: np.ndarray):
+    def __init__(self, whiteners: Sequence[Whitening], y: Floats, nuisance: Floats, deviation: Floats):
         self.whiteners = whiteners
         self.deviation = deviation
         self.y = [w(y[:, j]) for j, w in enumerate(whiteners)]
         self.N = [w(nuisance[:, j, :] * deviation) for j, w in enumerate(whiteners)]
         A = np.eye(len(deviation)) + sum(N.T @ N for N in self.N)
         self.factor = cho_factor(A, lower=True)
-        self.Ny = sum(N.T @ y for N, y in zip(self.N, self.y))
-        self.scaled = cho_solve(self.factor, self.Ny)
-        self.yPy = sum(float(y @ y) for y in self.y) - float(self.Ny @ self.scaled)
-        self.log_determinant = 2.0 * float(np.log(np.diag(self.factor[0])).sum())
+        self.scaled = cho_solve(self.factor, sum(N.T @ y for N, y in zip(self.N, self.y)))
 
     @property
-    def rows(self) -> int:
-        """Number of rows over all joints."""
-        return sum(len(y) for y in self.y)
-
-    @property
-    def log_evidence(self) -> float:
-        """Log marginal likelihood of the base, with the determinants of the noise."""
-        noise = sum(w.log_determinant for w in self.whiteners)
-        return -0.5 * (self.yPy + self.log_determinant + noise + self.rows * np.log(2.0 * np.pi))
-
-    @property
-    def coefficients(self) -> np.ndarray:
+    def coefficients(self) -> Floats:
         """(p,) posterior mean of the nuisance coefficients."""
         return self.scaled * self.deviation
 
-    @property
-    def covariance(self) -> np.ndarray:
-        """(p, p) posterior covariance of the nuisance coefficients."""
-        inverse = cho_solve(self.factor, np.eye(len(self.deviation)))
-        return inverse * np.outer(self.deviation, self.deviation)
-
-    def innovations(self) -> list[np.ndarray]:
+    def innovations(self) -> list[Floats]:
         """Whitened residuals of each joint after the nuisance is taken out."""
         return [y - N @ self.scaled for y, N in zip(self.y, self.N)]
 
@@ -136,9 +145,9 @@ class Base:
         """The bank's columns in this noise, with what every screening needs of them."""
         X = [None if v is None else w(v) for w, v in zip(self.whiteners, bank.values)]
         NX = np.zeros((len(self.deviation), bank.width))
-        for j, at in enumerate(bank.at):
-            if X[j] is not None:
-                NX[:, at] += self.N[j].T @ X[j]
+        for at, N, x in zip(bank.at, self.N, X):
+            if x is not None:
+                NX[:, at] += N.T @ x
         return Whitened(bank, X, NX, cho_solve(self.factor, NX))
 
 
@@ -147,38 +156,33 @@ class Whitened:
     """A bank in the noise of a base."""
 
     bank: Bank
-    X: list
-    NX: np.ndarray
-    ANX: np.ndarray
+    X: list[Floats | None]
+    NX: Floats
+    ANX: Floats
 
-    def gram(self, entry: Entry) -> np.ndarray:
+    def gram(self, entry: Entry) -> Floats:
         """(p, p) X'PX of a candidate."""
-        c = entry.columns
-        G = -self.NX[:, c].T @ self.ANX[:, c]
-        for j, at in enumerate(self.bank.at):
-            first = np.searchsorted(at, c.start)
-            if first < len(at) and at[first] == c.start:
-                part = self.X[j][:, first : first + c.stop - c.start]
-                G = G + part.T @ part
+        G = -self.NX[:, entry.columns].T @ self.ANX[:, entry.columns]
+        for part in self.bank.columns_of(entry, self.X).values():
+            G = G + part.T @ part
         return G
 
-    def products(self, ys) -> np.ndarray:
+    def products(self, ys: Sequence[Floats]) -> Floats:
         """(C, ...) X'y for whitened rows ys, a list over the joints of (mj, ...)."""
         out = np.zeros((self.bank.width, *ys[0].shape[1:]))
-        for j, at in enumerate(self.bank.at):
-            if self.X[j] is not None:
-                out[at] += self.X[j].T @ ys[j]
+        for at, x, y in zip(self.bank.at, self.X, ys):
+            if x is not None:
+                out[at] += x.T @ y
         return out
 
 
-def log_gain(G, b, mean, deviation):
+def log_gain(G: Floats, b: Floats, mean: Floats, deviation: Floats) -> tuple[Floats, Floats, Floats]:
     """Gain of log evidence by columns with X'PX = G (p, p), X'Py = b (p,) or (p, r).
 
     Also the posterior mean of the coefficients, same shape as b, and their covariance (p, p).
     """
     mean = mean if b.ndim == 1 else mean[:, None]
-    inner = G + np.diag(1.0 / deviation**2)
-    factor = cho_factor(inner, lower=True)
+    factor = cho_factor(G + np.diag(1.0 / deviation**2), lower=True)
     rest = b - G @ mean
     moved = cho_solve(factor, rest)
     shift = (mean * (b + rest)).sum(axis=0)
@@ -187,38 +191,35 @@ def log_gain(G, b, mean, deviation):
     return gain, mean + moved, cho_solve(factor, np.eye(len(G)))
 
 
+def score(entry: Entry, G: Floats, b: Floats) -> Estimate:
+    """A candidate with X'PX = G (p, p), X'Py = b (p,)."""
+    c = entry.candidate
+    gain, coefficients, covariance = log_gain(G, b, c.mean, c.deviation)
+    likelihood = 0.5 * float(coefficients @ (2.0 * b - G @ coefficients))
+    return Estimate(float(gain) - np.log(c.tried), entry, coefficients, covariance, likelihood)
+
+
 def screen(base: Base, whitened: Whitened) -> list[Scored]:
     """Every hypothesis of a bank against the base."""
     bank = whitened.bank
     b = whitened.products(base.y) - whitened.NX.T @ base.scaled
-    found: list[list] = [[] for _ in bank.hypotheses]
+    found: list[list[Estimate]] = [[] for _ in bank.hypotheses]
     for entry in bank.entries:
-        G = whitened.gram(entry)
-        c = entry.candidate
-        gain, coefficients, covariance = log_gain(G, b[entry.columns], c.mean, c.deviation)
-        gain = gain - np.log(c.tried)
-        likelihood = 0.5 * float(coefficients @ (2.0 * b[entry.columns] - G @ coefficients))
-        found[entry.hypothesis].append((float(gain), entry, coefficients, covariance, likelihood))
+        found[entry.hypothesis].append(score(entry, whitened.gram(entry), b[entry.columns]))
     return [scored_of(name, joint, rows) for (name, joint), rows in zip(bank.hypotheses, found) if rows]
 
 
-def scored_of(name, joint, rows) -> Scored:
-    """The best legal candidate of a hypothesis among (gain, entry, coefficients, covariance, gain
-    of log likelihood) rows."""
-    gains = np.array([row[0] for row in rows])
+def scored_of(name: str, joint: int | None, found: Sequence[Estimate]) -> Scored:
+    """A hypothesis by the estimates of its candidates."""
+    gains = np.array([each.gain for each in found])
     total = float(np.logaddexp.reduce(gains) - np.log(len(gains)))
-    reason = None
-    for k in np.argsort(-gains, kind="stable"):
-        gain, entry, coefficients, covariance, likelihood = rows[k]
-        if gain < gains.max() - 6.0:
+    for each in sorted(found, key=lambda each: -each.gain):
+        if each.gain < gains.max() - SCREENING.evidence_near_best:
             break
         try:
-            values = entry.candidate.values(coefficients)
-        except Illegal as problem:
-            reason = reason or str(problem)
+            values = each.entry.candidate.values(each.coefficients)
+        except Illegal:
             continue
-        return Scored(name, joint, total, gain, entry, coefficients, covariance, values, None, likelihood - total)
-    best = rows[int(np.argmax(gains))]
-    return Scored(
-        name, joint, total, best[0], best[1], best[2], best[3], None, reason or "no legal coefficients", best[4] - total
-    )
+        return Scored(name, joint, total, each, values, each.likelihood - total)
+    best = found[int(np.argmax(gains))]
+    return Scored(name, joint, total, best, None, best.likelihood - total)

@@ -1,62 +1,68 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""What effects that a model already holds make of the voltage along a measured motion.
+"""The voltage that the effects of a model take along a measured motion.
 
-Inverse dynamics give the voltage of a motion by the model without effects; the difference that
-known effects make to it is taken from the same laws that the kernel simulates, along the measured
-motion, so that a model with effects can be the start of an explanation.
+Inverse dynamics give the voltage of a motion by the model without effects. What known effects add to it comes from the
+laws that the kernel simulates, so that a model with effects can be the start of an explanation.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
+from puma_sim_core.dynamics.circuit import drive_at
 from puma_sim_core.dynamics.laws import BRISTLE, DROOP, DRY, SENSED, SMOOTH, TILT, TIMED, VARYING, combined
 from puma_sim_core.dynamics.rigid import library_trigonometry
 from puma_sim_core.dynamics.runs import terminal_voltage
-from puma_sim_core.dynamics.timed import drive_at, push_over
 from puma_sim_core.dynamics.torques import (
     bristle_level,
     bristle_step,
     gravity_torques,
     has_bristle,
     inverse_torque,
+    push_over,
     sliding_level,
     smooth_torques,
     tilted_torques,
 )
 from puma_sim_core.dynamics.types import Constants
-from puma_sim_core.effects.base import SENSING, Effect, Point
+from puma_sim_core.effects.base import SENSING, Effect, Memory, Point
 from puma_sim_core.effects.screening import Signals
 from puma_sim_core.effects.shared.columns import stretches, torque_volts
+from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.settings import SCREENING
 from puma_sim_core.jit import BACKEND, compiled, interpreted
 from puma_sim_core.plant.mechanism import Mechanism
-from puma_sim_core.plant.plant import Plant
 from puma_sim_core.simulation.delay import delay_of
 from puma_sim_core.simulation.run_inputs import native
 
 _share, _bound = (combined(point, interpreted) for point in (Point.SUPPLY_SHARE, Point.CURRENT_BOUND))
 
 
+#: an array for the compiled kernel, lists of floats for the interpreted one
+Numbers = Floats | Sequence[float]
+Table = Floats | Sequence[Sequence[float]]
+
+
 class _Motion(NamedTuple):
     """Rows of a motion: time (n,), its step, position and velocity (n, 3), torque that the motion takes without
     effects and viscous friction (n, 3) [N.m], direction of sliding, smooth about reversals (n, 3), and 1.0 where a
-    stretch of record begins, with bristles at rest (n,)."""
+    log begins, with bristles at rest (n,)."""
 
-    time: Any
+    time: Numbers
     step: float
-    position: Any
-    velocity: Any
-    motor: Any
-    sign: Any
-    begins: Any
+    position: Table
+    velocity: Table
+    motor: Table
+    sign: Table
+    begins: Numbers
 
 
 @compiled
-def _taken(motion, constants, out):
+def _taken(motion: _Motion, constants: Constants, out: Floats) -> None:
     """Torques (n, 3) [N.m] that the effects of a plant take at the rows of a motion."""
     model, p = constants
     body, drive, active = model
@@ -98,9 +104,8 @@ def _taken(motion, constants, out):
 
 
 @compiled
-def _sliding(j, q, w, sign, gravity, torque, p):
-    """Dry friction [N.m] of joint j, 0.0 where it acts through a bristle; torque : that of the
-    motor without it."""
+def _sliding(j: int, q: float, w: float, sign: float, gravity: float, torque: float, p: Numbers) -> float:
+    """Dry friction [N.m] of joint j, 0.0 where it acts through a bristle; torque : the motor's without it."""
     if has_bristle(j, p):
         return 0.0
     torque = inverse_torque(j, sign, q, gravity, torque, abs(w), p)
@@ -108,9 +113,10 @@ def _sliding(j, q, w, sign, gravity, torque, p):
 
 
 @compiled
-def _bent(j, z, travel, q, w, gravity, torque, p):
-    """Deflection [rad] and torque [N.m] of joint j's bristle after `travel` [rad]; torque : that
-    of the motor without it."""
+def _bent(
+    j: int, z: float, travel: float, q: float, w: float, gravity: float, torque: float, p: Numbers
+) -> tuple[float, float]:
+    """Deflection [rad] and torque [N.m] of joint j's bristle after `travel` [rad]; torque : the motor's without it."""
     end, own = bristle_step(j, z, 0.0, 0.0, p)
     # its own torque is part of the load that bounds it
     for _ in range(2):
@@ -120,19 +126,18 @@ def _bent(j, z, travel, q, w, gravity, torque, p):
 
 
 @compiled
-def _terminal(volts, p, out):
+def _terminal(volts: Table, p: Numbers, out: Floats) -> None:
     for r in range(len(volts)):
         for j in range(3):
             out[r, j] = terminal_voltage(j, volts[r][j], p)
 
 
-def known_voltage(mechanism: Mechanism, theta, signals: Signals) -> np.ndarray:
-    """(n, J) part of V - Vhat [V] that the mechanism's own effects make.
+def known_voltage(mechanism: Mechanism, theta: Floats, signals: Signals) -> Floats:
+    """(n, J) part of V - Vhat [V] that the mechanism's own effects make, 0 without any.
 
-    Vhat is the model without effects, `Mechanism.model_voltage` with its lag, and signals are those
-    of that model (`Signals`). What remains, V - Vhat - this, is what the start model does not
-    explain. Zero where there are no effects. Elasticity and play are taken joint by joint; where
-    a current is held by its limit the remainder is 0.
+    Vhat is the model without effects, `Mechanism.model_voltage` with its lag; signals are those of that model. V - Vhat
+    less this is what the start model does not explain. Elasticity and backlash are taken joint by joint; where a
+    current is at its limit all of V - Vhat counts as explained.
     """
     joints = mechanism.joints
     total = np.zeros((len(signals.time), joints))
@@ -145,52 +150,40 @@ def known_voltage(mechanism: Mechanism, theta, signals: Signals) -> np.ndarray:
     p = constants.table
     if active & SENSED:
         _add(total, [e for e in plant.effects if e.kind.acts == SENSING], signals, signals.torque)
-    taken = _torques(plant, signals, constants)[:, hidden:]
+    taken = _torques(signals, constants, hidden)
     total += np.stack([torque_volts(signals, j, taken[:, j]) for j in range(joints)], axis=1)
     torque, drive = signals.torque + taken, mechanism.drive(theta)
     current = torque * drive.volts_per_torque / drive.resistance
     _add(total, [e for e in plant.effects if e.kind.acts != SENSING], signals, torque)
     total += _lost_before_the_motor(signals, current, active, p, hidden)
     limit = np.array([_bound(j, p) for j in range(hidden, 3)])
-    model = _model(signals)
-    remainder = signals.voltage - model - total
-    held = (np.abs(current) >= SCREENING.known_held * limit) & (remainder * current > 0.0)
-    return np.where(held, signals.voltage - model, total) * signals.enable
+    motors = [torque_volts(signals, j, signals.torque[:, j]) for j in range(joints)]
+    lacking = signals.voltage - (np.stack(motors, axis=1) + signals.emf * signals.velocity)
+    limited = (np.abs(current) >= SCREENING.known_held * limit) & ((lacking - total) * current > 0.0)
+    return np.where(limited, lacking, total) * signals.enable
 
 
-def _model(signals: Signals) -> np.ndarray:
-    """(n, J) voltage of the model without effects."""
-    motors = [torque_volts(signals, j, signals.torque[:, j]) for j in range(signals.joints)]
-    return np.stack(motors, axis=1) + signals.emf * signals.velocity
-
-
-def _torques(plant: Plant, signals: Signals, constants: Constants) -> np.ndarray:
-    """(n, 3) torques that the effects take [N.m]."""
-    hidden = ((0, 0), (3 - plant.joints, 0))
+def _torques(signals: Signals, constants: Constants, hidden: int) -> Floats:
+    """(n, J) torques that the effects take [N.m]."""
     speed = signals.velocity
     width = np.maximum(2.0 * signals.velocity_noise, 1e-9)
     motor = signals.torque - signals.viscous * speed
     begins = np.diff(signals.segment, prepend=signals.segment[0] - 1) != 0
-    arrays = [
-        signals.time,
-        *(np.pad(values, hidden) for values in (signals.position, speed, motor, speed / np.hypot(speed, width))),
-        begins.astype(float),
-    ]
-    if BACKEND != "numba":
-        arrays = [values.tolist() for values in arrays]
+    joints = (signals.position, speed, motor, speed / np.hypot(speed, width))
+    arrays = [signals.time, *(np.pad(values, ((0, 0), (hidden, 0))) for values in joints), begins.astype(float)]
+    time, *columns = (a if BACKEND == "numba" else a.tolist() for a in arrays)
     out = np.zeros((len(signals.time), 3))
-    _taken(_Motion(arrays[0], signals.step, *arrays[1:]), constants, out)
-    return out
+    _taken(_Motion(time, signals.step, *columns), constants, out)
+    return out[:, hidden:]
 
 
-def _lost_before_the_motor(signals: Signals, current, active: int, p, hidden: int) -> np.ndarray:
+def _lost_before_the_motor(signals: Signals, current: Floats, active: int, p: Sequence[float], hidden: int) -> Floats:
     """(n, J) commanded less terminal voltage [V]."""
     late = delay_of(active, p)
     arriving = signals.voltage
     if late > 0.0:
         arriving = np.empty_like(signals.voltage)
-        cuts = np.flatnonzero(np.diff(signals.segment)) + 1
-        for rows in np.split(np.arange(len(signals.time)), cuts):
+        for rows in stretches(signals):
             for j in range(signals.joints):
                 arriving[rows, j] = np.interp(signals.time[rows] - late, signals.time[rows], signals.voltage[rows, j])
     padded = np.pad(arriving, ((0, 0), (hidden, 0)))
@@ -203,20 +196,20 @@ def _lost_before_the_motor(signals: Signals, current, active: int, p, hidden: in
     return signals.voltage - terminal
 
 
-def _add(total: np.ndarray, effects: list[Effect], signals: Signals, torque: np.ndarray) -> None:
-    """Add to (n, J) what effects say of their voltage along the motion [V], where the laws do not."""
+def _add(total: Floats, effects: Iterable[Effect], signals: Signals, torque: Floats) -> None:
+    """Add to (n, J) the voltage [V] of effects that declare it themselves, or have a deflection of their own."""
     for effect in effects:
         j = (effect.joint or 1) - 1
         if effect.kind.known_voltage is not None:
             for i, volts in effect.kind.known_voltage(signals, j, effect.values, torque).items():
                 total[:, i] += volts
         elif effect.kind.memory is not None:
-            total[:, j] += torque_volts(signals, j, _remembered(effect, signals, j))
+            total[:, j] += torque_volts(signals, j, _remembered(effect.kind.memory, effect, signals, j))
 
 
-def _remembered(effect: Effect, signals: Signals, j: int) -> np.ndarray:
-    """(n,) torque [N.m] of an effect with a deflection of its own, which each stretch begins without."""
-    follow, law = (interpreted(function) for function in effect.kind.memory)
+def _remembered(memory: Memory, effect: Effect, signals: Signals, j: int) -> Floats:
+    """(n,) torque [N.m] of an effect with a deflection of its own, at rest at the start of each log."""
+    follow, law = (interpreted(function) for function in memory)
     p, out = list(effect.values.values()), np.zeros(len(signals.time))
     for part in stretches(signals):
         deflection = 0.0

@@ -2,12 +2,10 @@
 # Copyright the puma-sim contributors
 """Cross-validation: errors of models at rows that their parameters were not fitted to.
 
-A quarter of a log holds a few windows, and the luck of a few windows can be worse with the true structure than without
-it. So a log is cut into four folds, and each is predicted by the model with its parameters fitted to the other three
-(Stone 1974, J. R. Statist. Soc. B 36:111). One of them is the validation set of the selection as well. What happens in
-one fold only, such as a blow, can be fitted nowhere else: a parameter of which the other folds hold next to no
-information takes the value that the whole log gives it beside the parameters that they do determine. Logs that are
-given for validation as a whole are predicted as they are.
+A log is cut into four folds, each predicted by the model fitted to the other three (Stone 1974, J. R. Statist. Soc. B
+36:111); one is the validation set of the selection as well. A parameter of which the other folds hold next to no
+information, as of an impact, takes the value that the whole log gives it. Logs for validation are predicted as they
+are.
 """
 
 from __future__ import annotations
@@ -17,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from puma_sim_core.identify.arrays import Bools, Floats
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
 from puma_sim_core.identify.fitting.predictor import Predictor, RowChoice
 from puma_sim_core.identify.noise.weighting import Weighting
@@ -28,7 +27,7 @@ from puma_sim_core.identify.settings import SCREENING, SELECTION
 from puma_sim_core.plant.plant import Plant
 
 #: folds of a log
-FOLDS = round(1.0 / SCREENING.residual_held_share)
+FOLDS = round(1.0 / SCREENING.residual_validation_share)
 #: for each log of a problem which of its rows are of the validation set
 RowChoices = Callable[[Problem], Sequence[RowChoice]]
 
@@ -70,26 +69,23 @@ class CrossValidation:
         rows : gives the validation set of a problem.
         """
         folds = [Fold(predictor, Validation(problem, predictor), True)]
-        for k in range(1, FOLDS if problem.hold_back else 1):
+        for k in range(1, FOLDS if problem.blocks else 1):
             moved = Problem(problem.sampled, problem.mechanism, (), True, (problem.place + k / FOLDS) % 1.0)
             other = predictor.validated_at(rows(moved))
             folds.append(Fold(other, Validation(moved, other), False))
         return cls(folds)
 
-    def position_rms(self, model: WeightedModel) -> np.ndarray:
+    def position_rms(self, model: WeightedModel) -> Floats:
         """(J,) errors [rad or m] in the open-loop windows of all folds, each with the model fitted to the other folds;
         NaN without windows."""
         return self._windows(self._points(model))
 
     def lower(self, model: WeightedModel, than: WeightedModel) -> bool:
-        """Whether a model leaves less of the windows than another; without any window, nothing is
-        said against it."""
+        """Whether a model leaves less of the windows than another, or there are no windows."""
         one, other = (float((self.position_rms(m) ** 2).mean()) for m in (model, than))
         return not one >= other
 
-    def errors(
-        self, models: Mapping[str, WeightedModel | Point], floor: np.ndarray, noise: NoisePair
-    ) -> dict[str, Errors]:
+    def errors(self, models: Mapping[str, WeightedModel | Point], floor: Floats, noise: NoisePair) -> dict[str, Errors]:
         """Tables of errors: "held_out" of all folds, and where there are several "unseen", of the one alone that the
         selection has not seen either.
 
@@ -105,22 +101,18 @@ class CrossValidation:
             tables["unseen"] = self._table(first, floor, noise)
         return tables
 
-    def unseen(self, point: Point) -> np.ndarray:
+    def unseen(self, point: Point) -> Floats:
         """(J,) errors [rad or m] of a model, as it is, in the windows that the selection has not seen."""
         return self._windows([point])
 
-    def _table(self, points: Mapping[str, Sequence[Point]], floor: np.ndarray, noise: NoisePair) -> Errors:
+    def _table(self, points: Mapping[str, Sequence[Point]], floor: Floats, noise: NoisePair) -> Errors:
         """Errors of models, by their points of the first of the folds."""
-        lengths = np.concatenate(
-            [fold.validation.lengths("held_out") for fold, _ in zip(self.folds, points["augmented"])]
-        )
-        return Errors(
-            StageErrors(**{name: self._volts(p) for name, p in points.items()}, floor=floor),
-            StageErrors(
-                **{name: self._windows(p) for name, p in points.items()},
-                floor=position_floor(self.folds[0].predictor, lengths, *noise),
-            ),
-        )
+        folds = self.folds[: len(points["augmented"])]
+        lengths = np.concatenate([fold.validation.lengths("held_out") for fold in folds])
+        volts = {name: self._volts(p) for name, p in points.items()}
+        windows = {name: self._windows(p) for name, p in points.items()}
+        least = position_floor(folds[0].predictor, lengths, *noise)
+        return Errors(StageErrors(**volts, floor=floor), StageErrors(**windows, floor=least))
 
     def _points(self, model: WeightedModel) -> list[Point]:
         """The model as fitted without each of the folds."""
@@ -158,25 +150,24 @@ class CrossValidation:
         return found
 
     def _plant(self, point: Point) -> Plant:
-        return self.folds[0].predictor.mechanism.plant(point.theta, point.effects)
+        return point.plant(self.folds[0].predictor.mechanism)
 
-    def _windows(self, points: Sequence[Point]) -> np.ndarray:
+    def _windows(self, points: Sequence[Point]) -> Floats:
         """(J,) errors [rad or m] in the windows of the first of the folds."""
         pairs = zip(self.folds, points)
         return rms(np.concatenate([fold.validation.window_errors(self._plant(at), "held_out") for fold, at in pairs]))
 
-    def _volts(self, points: Sequence[Point]) -> np.ndarray:
+    def _volts(self, points: Sequence[Point]) -> Floats:
         """(J,) residual [V] on the validation sets of the first of the folds."""
         pairs = list(zip(self.folds, points))
         volts = parallel_map(lambda pair: pair[0].validation.volts(self._plant(pair[1])), pairs)
         return rms(np.concatenate(volts), np.concatenate([fold.predictor.validation_rows for fold, _ in pairs]))
 
 
-def _completed(fit: PredictionFit, whole: Fitted, jacobian: np.ndarray, free: np.ndarray, point: Point) -> Point:
-    """A model without one fold, its other parameters where the whole log has them beside those that are free in it: a
-    limit of the current follows the drive's constants.
+def _completed(fit: PredictionFit, whole: Fitted, jacobian: Floats, free: Bools, point: Point) -> Point:
+    """A model without one fold, its other parameters where the whole log has them beside those that are free in it.
 
-    fit, whole : the fit to the whole log, and what came of it; jacobian (N', p + c) : its derivatives after whitening;
+    fit, whole : the fit to the whole log, and its model; jacobian (N', p + c) : its derivatives after whitening;
     free (p + c,); point : the model whose free parameters were fitted.
     """
     names = whole.names

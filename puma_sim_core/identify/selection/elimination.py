@@ -6,11 +6,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import reduce
 from typing import TypeVar
 
 from puma_sim_core.effects import Effect, Kind
-from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
-from puma_sim_core.identify.fitting.trials import Key, Trial, Trials
+from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit, bounded
+from puma_sim_core.identify.fitting.trials import Trial, Trials
+from puma_sim_core.identify.screening.evidence import Key
 from puma_sim_core.identify.selection.state import Chosen, SelectionState, Stage, accepting
 from puma_sim_core.identify.settings import SELECTION
 
@@ -34,19 +36,15 @@ class Elimination:
         return state
 
     def simplify(self, state: SelectionState) -> SelectionState:
-        """Replace effects that come out as one that they contain, with all others in the model, by it: when they were
-        tried, its fit may not have come to its end. Where that shows, the other effects that contain it are fitted to
-        their end, too. A pass."""
-        for number in range(len(state.chosen)):
-            state = self._simplified(state, number)
-        return state
+        """Replace effects that come out as one that they contain, whose fit may not have ended when tried. A pass."""
+        return reduce(self._simplified, range(len(state.chosen)), state)
 
     def _without_or_replaced(self, state: SelectionState, number: int) -> SelectionState | None:
         """The state without one of its effects, or with a rival in its place; None where it stays."""
         fit, point, chosen = PredictionFit(self.predictor, state.noise), state.model.point, state.chosen[number]
         rest = _less(state.chosen, number)
         pairs = self.trials.free(point)
-        jacobian = fit.white(fit.derivatives(point, pairs))
+        jacobian = fit.whitened(fit.derivatives(point, pairs))
         full = fit.run(point, (), jacobian=jacobian, frozen=pairs)
         without = Point(point.theta, _less(point.effects, number))
         frozen = self.trials.free(without)
@@ -92,21 +90,14 @@ class Elimination:
         first = best = exact(start, own, start.effects[number])
         full = first[0].point
         # from what was tried, and with what the two have in common as it is now
-        simpler = min(
-            (
-                exact(full, t, effect)
-                for t in contained
-                for effect in (t.effect, _alike(t.effect, full.effects[number]))
-            ),
-            key=lambda pair: pair[0].objective,
-        )
+        starts = ((t, effect) for t in contained for effect in (t.effect, _alike(t.effect, full.effects[number])))
+        simpler = min((exact(full, *start) for start in starts), key=lambda pair: pair[0].objective)
         promised = own.gain + own.occam - simpler[1].gain - simpler[1].occam
         if abs(simpler[0].objective - first[0].objective - promised) > SELECTION.unfinished:
-            others = (exact(full, t, t.effect) for t in self._containing(state, stage, simpler[1]))
-            best = min(
-                (first, *(pair for pair in others if not self.trials.implausible(pair[0].point.effects[number]))),
-                key=lambda pair: pair[0].objective + pair[1].occam,
-            )
+            alike = (t for t in _open(stage, state.keys) if t.joint == simpler[1].joint)
+            others = [exact(full, t, t.effect) for t in alike if self._contains(t, simpler[1].name)]
+            possible = (pair for pair in others if not self.trials.implausible(pair[0].point.effects[number]))
+            best = min((first, *possible), key=lambda pair: pair[0].objective + pair[1].occam)
         lost = simpler[0].objective - best[0].objective
         less = best[1].occam - simpler[1].occam
         fitted, trial = simpler if lost < max(SELECTION.parsimony, less + SELECTION.exact * chosen.gain) else best
@@ -124,13 +115,8 @@ class Elimination:
             return []
         return [t for t in _open(stage, state.keys) if t.joint == key[1] and t.name in kind.contains]
 
-    def _containing(self, state: SelectionState, stage: Stage, simpler: Trial) -> list[Trial]:
-        """Trials of a stage, on the joint of a simpler one, of the effects that contain it."""
-        return [t for t in _open(stage, state.keys) if t.joint == simpler.joint and self._contains(t, simpler.name)]
-
     def _rivals(self, state: SelectionState, key: Key) -> list[Trial]:
-        """Trials beside the one by which an effect was accepted that may take its place: the best, and those that
-        contain it."""
+        """Trials that may take the place of an accepted effect: the best, and those that contain it."""
         stage = accepting(state.history, key)
         if stage is None or stage.accepted is None:
             return []
@@ -157,10 +143,5 @@ def _less(items: tuple[Item, ...], number: int) -> tuple[Item, ...]:
 
 def _alike(effect: Effect, other: Effect) -> Effect:
     """An effect with the values of those parameters that it shares with another."""
-    own = {p.name: p for p in effect.kind.parameters}
-    shared = {
-        name: min(max(value, own[name].low), own[name].high)
-        for name, value in other.values.items()
-        if name in effect.values
-    }
-    return Effect(effect.kind, effect.joint, {**effect.values, **shared})
+    shared = {name: value for name, value in other.values.items() if name in effect.values}
+    return bounded(effect.kind, effect.joint, {**effect.values, **shared})

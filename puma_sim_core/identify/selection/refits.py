@@ -41,17 +41,11 @@ class Refits:
     def from_previous(self, state: SelectionState) -> SelectionState:
         """Trials that gain less than in the stage before, on another joint than what was accepted there, start from
         where they were then: a limit acts where its value is, and the screening may have it where nothing shows."""
-        if not state.history:
+        accepted = state.history[-1].accepted if state.history else None
+        if accepted is None:
             return state
-        stage, base = state.history[-1], state.model.point
-        before = {
-            t.key: t
-            for t in stage.trials
-            if stage.accepted is not None
-            and t.joint != stage.accepted.joint
-            and t.problem is None
-            and t.gain > SELECTION.least_gain
-        }
+        base, others = state.model.point, (t for t in state.history[-1].trials if t.joint != accepted.joint)
+        before = {t.key: t for t in others if t.problem is None and t.gain > SELECTION.least_gain}
 
         def again(trial: Trial) -> Trial:
             then = before.get(trial.key)
@@ -71,12 +65,9 @@ class Refits:
             screening = self.library[trial.name].screening
             usual = None if screening is None else screening.usual
             simpler = self._simpler(trial, state.trials)
-            if (
-                usual is None
-                or trial.fitted is None
-                or simpler is None
-                or trial.fitted.objective < simpler.objective - SELECTION.no_more
-            ):
+            if usual is None or trial.fitted is None or simpler is None:
+                return trial
+            if trial.fitted.objective < simpler.objective - SELECTION.no_more:
                 return trial
             *others, inner = simpler.point.effects
             last, theta = trial.effect, simpler.point.theta
@@ -86,8 +77,8 @@ class Refits:
         return _with_trials(state, again)
 
     def polished(self, state: SelectionState) -> SelectionState:
-        """Trials near the best are fitted to their end, with all derivatives about themselves; the best by itself only
-        where the validation set speaks against it as it is."""
+        """Trials near the best are fitted to their end, with all derivatives about themselves; the best alone only
+        where the validation set speaks against it."""
         possible = [t for t in state.trials if t.problem is None]
         top = max((t.gain for t in possible), default=0.0)
         if top < SELECTION.worth_polishing:

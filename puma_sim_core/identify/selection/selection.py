@@ -2,11 +2,9 @@
 # Copyright the puma-sim contributors
 """Which effects the log asks for: forward selection with replacements and backward elimination.
 
-Each stage screens the library twice: on filtered motion, which is quick, and on innovations, which feedback cannot
-deceive. The few that are left are fitted in the model one by one (`fitting.trials`), in the noise that the best of
-them leaves. The gain of log likelihood less the Occam factor of the free parameters ranks them.
-
-A stage is a list of passes, `Selection.stage`; each takes a `SelectionState` and gives another one.
+A stage is a list of passes, `Selection.stage`; each takes a `SelectionState` and gives another one. It screens the
+library on filtered motion, which is quick, and on innovations, which feedback cannot deceive. The few that are left are
+fitted in the model (`fitting.trials`), and ranked by their gain of log likelihood less the Occam factor.
 """
 
 from __future__ import annotations
@@ -18,12 +16,14 @@ from functools import reduce
 import numpy as np
 
 from puma_sim_core.effects import KINDS, Kind
+from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
-from puma_sim_core.identify.fitting.trials import Key, Trial, Trials
-from puma_sim_core.identify.noise import colour
+from puma_sim_core.identify.fitting.trials import Trial, Trials
+from puma_sim_core.identify.noise import innovations
 from puma_sim_core.identify.noise.weighting import Weighting
 from puma_sim_core.identify.parallel import parallel_map
-from puma_sim_core.identify.screening.causal import CausalScreen
+from puma_sim_core.identify.screening.causal import CausalScreen, placebo_shifts
+from puma_sim_core.identify.screening.evidence import Key
 from puma_sim_core.identify.screening.short_list import ShortList
 from puma_sim_core.identify.selection.elimination import Elimination
 from puma_sim_core.identify.selection.refits import Refits
@@ -35,11 +35,7 @@ Pass = Callable[[SelectionState], SelectionState]
 
 
 class Selection:
-    """The selection on one problem.
-
-    short_list : which hypotheses are worth a trial; trials : makes these; library : name -> effect; seed : of the
-    placebos; progress : called with (what is done, share 0..1).
-    """
+    """The selection on one problem. library : name -> effect; seed : of the placebos; progress : as for `explain`."""
 
     def __init__(
         self,
@@ -56,8 +52,7 @@ class Selection:
         self.mechanism = trials.mechanism
         self.library = library
         self.progress = progress
-        rng = np.random.default_rng(seed)
-        self.shifts = np.sort(rng.uniform(*SELECTION.placebo_shifts, SELECTION.placebos))
+        self.shifts = placebo_shifts(seed)
         refits, elimination = Refits(trials, library), Elimination(trials, library)
         #: one stage: what the log asks for beside the effects that are chosen already
         self.stage: tuple[Pass, ...] = (
@@ -77,7 +72,7 @@ class Selection:
         #: after the last stage
         self.conclusion: tuple[Pass, ...] = (elimination.simplify, self.finish)
 
-    def run(self, theta: np.ndarray) -> SelectionState:
+    def run(self, theta: Floats) -> SelectionState:
         """Add effects until none is asked for. theta : parameters by the screening of filtered motion."""
         state = self._start(theta)
         while True:
@@ -113,7 +108,7 @@ class Selection:
         """Screen the library, and fit what is worth it in the model."""
         base = self.trials.base(state.model, state.noise, state.derivatives)
         causal = CausalScreen(base.fit, base.model.point, base.model.errors, base.jacobian, self.problem)
-        short, _ = self.short_list.of(state.keys, base.model.point, causal)
+        short = self.short_list.of(state.keys, base.model.point, causal)
         least = max(SELECTION.least_gain, SELECTION.relinearised_share * max((s.gain for s in short), default=0.0))
         most = SELECTION.relinearised_two_mass if base.model.point.two_mass else SELECTION.relinearised
         best = {id(s) for s in sorted(short, key=lambda s: -s.gain)[:most] if s.gain > least}
@@ -121,12 +116,10 @@ class Selection:
         return replace(state, trials=tuple(trials))
 
     def estimate_noise(self, state: SelectionState) -> SelectionState:
-        """Fit all again in the noise that the best explanation of each joint leaves, unless what no effect explains was
-        taken for noise there, and the fit has moved away from it."""
+        """Fit all again in the noise that the best explanation of each joint leaves, unless the validation refuses."""
         noise = self._noise(state)
-        model, jacobian = PredictionFit(self.predictor, noise).to_end(
-            state.model.point, state.model.names, state.jacobian
-        )
+        fit, before = PredictionFit(self.predictor, noise), state.model
+        model, jacobian = fit.to_end(before.point, before.names, state.jacobian)
         base = self.trials.base(model, noise, jacobian)
         trials = parallel_map(
             lambda t: t if t.fitted is None else self.trials.run(base, t.scored, t.fitted.point), state.trials
@@ -159,14 +152,13 @@ class Selection:
         return replace(state, model=accepted.model, jacobian=None, chosen=(*state.chosen, chosen))
 
     def finish(self, state: SelectionState) -> SelectionState:
-        """Fit what was chosen to its end with derivatives about itself, and the model without effects in the same
-        noise: else two noises are compared."""
+        """Fit what was chosen to its end with derivatives about itself; the model without effects in the same noise."""
         fit, point = PredictionFit(self.predictor, state.noise), state.model.point
         pairs = self.trials.free(point)
         gain, times = FITTING.finished_final, FITTING.relinearisations_final
         model, _ = fit.to_end(point, pairs, gain=gain, times=times)
         jacobian = fit.derivatives(model.point, pairs)
-        model = replace(model, jacobian=fit.white(jacobian))
+        model = replace(model, jacobian=fit.whitened(jacobian))
         retuned = model
         if state.chosen and state.retuned is not None:
             retuned, _ = fit.to_end(state.retuned.point, (), gain=gain, times=times)
@@ -174,17 +166,17 @@ class Selection:
 
     # what the passes are made of
 
-    def _start(self, theta: np.ndarray) -> SelectionState:
+    def _start(self, theta: Floats) -> SelectionState:
         """The model without effects, weighted by its changes from row to row alone."""
         point = Point(theta, ())
         raw = self._raw(point)
-        noise = self.predictor.white_weighting(raw)
+        noise = self.predictor.unfiltered_weighting(raw)
         errors = noise(raw)
         objective = PredictionFit(self.predictor, noise).objective(errors, point)
         return SelectionState(Fitted(point, errors, objective, ()), None, noise)
 
-    def _raw(self, point: Point) -> np.ndarray:
-        return self.predictor.errors(self.mechanism.plant(point.theta, point.effects))
+    def _raw(self, point: Point) -> Floats:
+        return self.predictor.errors(point.plant(self.mechanism))
 
     def _gains(self, stage: Stage) -> dict[int | None, float]:
         """By joint (None: all of them) the gain [nat] of the effect that a stage accepted."""
@@ -195,39 +187,31 @@ class Selection:
         least = SELECTION.elsewhere * total
         return {None: total, **{j + 1: max(min(gain, total), least) for j, gain in enumerate(less)}}
 
-    def _validation_volts(self, state: SelectionState) -> np.ndarray:
+    def _validation_volts(self, state: SelectionState) -> Floats:
         """(J,) sums of squares [V^2] of the voltages that the best model of a state lacks on the validation set."""
         best = state.best
         point = state.model.point if best is None or best.gain < 0.0 else best.model.point
         volts = self.predictor.in_volts(self._raw(point), self.problem.sampled.cutoffs[1])
-        squares: np.ndarray = (np.where(self.predictor.validation_rows, volts, 0.0) ** 2).sum(axis=0)
-        return squares
+        return (np.where(self.predictor.validation_rows, volts, 0.0) ** 2).sum(axis=0)
 
     def _noise(self, state: SelectionState) -> Weighting:
-        """The weighting by what is left of each joint after the model that explains it best. One noise for all from a
-        single best model would take for noise what another joint lacks."""
+        """The weighting by what is left of each joint after the model that explains that joint best."""
         rows = self.predictor.fit_rows
         fitted = [state.model, *(t.model for t in state.trials if t.possible)]
         left = np.array([[(f.errors[rows[:, j], j] ** 2).sum() for j in range(rows.shape[1])] for f in fitted])
         numbers = left.argmin(axis=0)
         found = {number: self._raw(fitted[number].point) for number in dict.fromkeys(numbers.tolist())}
         errors = np.column_stack([found[number][:, j] for j, number in enumerate(numbers.tolist())])
-        return colour.weighting(self.predictor, errors)
+        return innovations.weighting(self.predictor, errors)
 
     def _placebo(self, state: SelectionState, best: Trial) -> float:
         """Greatest gain of shifted innovations over the short list's own columns."""
         fit, model = PredictionFit(self.predictor, state.noise), best.model
-        jacobian = fit.white(fit.derivatives(model.point, self.trials.free(model.point), state.nearby))
+        jacobian = fit.whitened(fit.derivatives(model.point, self.trials.free(model.point), state.nearby))
         causal = CausalScreen(fit, model.point, model.errors, jacobian, self.problem)
-        greatest = 0.0
-        for t in state.trials:
-            screening = self.library[t.name].screening
-            assert screening is not None
-            candidates = screening.candidates(causal.signals, None if t.joint is None else t.joint - 1)
-            got = causal.score(t.name, t.joint, candidates, self.shifts)
-            if got is not None:
-                greatest = max(greatest, float(np.max(got[1])))
-        return greatest
+        placebos = causal.placebos(self.shifts)
+        gains = [placebos.greatest(causal.pairs(self.library[t.name], t.joint)) for t in state.trials]
+        return max(0.0, *gains)
 
     def _parsimonious(self, best: Trial, trials: Iterable[Trial]) -> Trial:
         """The best trial, or one on its joint that it contains and that is hardly worse."""
@@ -240,15 +224,12 @@ class Selection:
             room = max(SELECTION.parsimony - (best.occam - t.occam), least)
             return t.gain > best.gain - room or best.vanishing
 
-        simpler = [
-            t for t in trials if t.problem is None and t.joint == best.joint and t.name in contains and enough(t)
-        ]
-        return max(simpler, key=lambda t: t.gain) if simpler else best
+        own = (t for t in trials if t.problem is None and t.joint == best.joint and t.name in contains)
+        return max(filter(enough, own), key=lambda t: t.gain, default=best)
 
 
-def noise_refused(before: np.ndarray, after: np.ndarray) -> bool:
-    """Whether the voltages (J,) [V^2] that are left of the validation set grew with another noise: joint by joint,
-    since one that neither explains must not speak for the others. Without any, they did not."""
+def noise_refused(before: Floats, after: Floats) -> bool:
+    """Whether the voltages (J,) [V^2] that are left of the validation set grew with another noise, joint by joint."""
     return bool((after > 0.0).all() and np.mean(before / after) < SELECTION.better_noise)
 
 

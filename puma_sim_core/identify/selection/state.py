@@ -7,11 +7,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
+from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.fitting.prediction import Fitted
-from puma_sim_core.identify.fitting.trials import Key, Trial
+from puma_sim_core.identify.fitting.trials import Trial
 from puma_sim_core.identify.noise.weighting import Weighting
+from puma_sim_core.identify.screening.evidence import Key
 from puma_sim_core.identify.selection.cross_validation import WeightedModel
 from puma_sim_core.identify.settings import SELECTION
 
@@ -21,8 +21,7 @@ class Stage:
     """A completed stage of the selection.
 
     trials : best first; threshold [nat] : of a name, by chance; base : the model that gains are over; accepted : the
-    trial that the log asks for, None without; first : by joint (1-based; None: the whole arm) the gain [nat] of the
-    effect that was accepted first, of which a further one must reach a share.
+    trial that the log asks for; first : by joint (None: the whole arm) the gain [nat] of the first effect accepted.
     """
 
     trials: tuple[Trial, ...]
@@ -55,8 +54,8 @@ class Chosen:
 
     @classmethod
     def of(cls, trial: Trial, history: tuple[Stage, ...], stage: Stage | None = None, gain: float = 0.0) -> Chosen:
-        """The effect of a trial with the gain by which it was accepted; of one that never was, and so replaces
-        another, the stage of that one and the gain over the model without it."""
+        """The effect of a trial with its gain when accepted; else, of one that replaces another, with that one's stage
+        and the gain over the model without it."""
         own = accepting(history, trial.key)
         if own is not None and own.accepted is not None:
             return cls(trial.key, trial.occam, own, own.accepted.gain)
@@ -81,7 +80,7 @@ class SelectionState:
     """
 
     model: Fitted
-    jacobian: np.ndarray | None
+    jacobian: Floats | None
     noise: Weighting
     chosen: tuple[Chosen, ...] = ()
     history: tuple[Stage, ...] = ()
@@ -95,15 +94,14 @@ class SelectionState:
         return tuple(chosen.key for chosen in self.chosen)
 
     @property
-    def derivatives(self) -> np.ndarray:
+    def derivatives(self) -> Floats:
         """`jacobian` of a model that was fitted."""
         assert self.jacobian is not None
         return self.jacobian
 
     @property
-    def nearby(self) -> np.ndarray | None:
-        """Derivatives by the parameters that may stand for those about a trial: from one two-mass model to another
-        they change little. None where they may not."""
+    def nearby(self) -> Floats | None:
+        """Derivatives that may stand for those about a trial: of two-mass models, between which they change little."""
         return self.jacobian if self.model.point.two_mass else None
 
     @property

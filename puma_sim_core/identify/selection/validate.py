@@ -2,9 +2,8 @@
 # Copyright the puma-sim contributors
 """Errors before and after: of voltages, and of positions in open loop.
 
-In windows of half a second the model gets the voltages alone. Each starts from the state that the model's own Kalman
-predictor has come to along the log, which holds what no sensor shows: currents, bristles, where in its backlash a gear
-is. Windows overlap: what happens in a few rows, such as the touch of a stop, must not fall between two of them.
+In windows of half a second the model gets the voltages alone, from the state of its Kalman predictor, which holds what
+no sensor shows. Windows overlap: what happens in a few rows must not fall between two of them.
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from puma_sim_core.errors import NonFiniteStateError
+from puma_sim_core.identify.arrays import Bools, Floats, runs
 from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.parallel import parallel_map
 from puma_sim_core.identify.result import Errors, StageErrors
@@ -24,7 +24,7 @@ from puma_sim_core.plant.plant import Plant
 #: windows are run in so many turns, so that before each the predictor has its length to come back
 _TURNS = round(2.0 * SELECTION.window / SELECTION.window_distance)
 #: noise (J,) of a row's voltage [V], and of a position [rad or m]
-NoisePair = tuple[np.ndarray, np.ndarray]
+NoisePair = tuple[Floats, Floats]
 
 
 class Validation:
@@ -39,20 +39,19 @@ class Validation:
         for key in ("fit", "held_out"):
             turns: list[list[tuple[int, slice]]] = [[] for _ in range(_TURNS)]
             for number, stretch in enumerate(predictor.stretches):
-                time = stretch.time[1:]
-                own = problem.segment == number
-                chosen = problem.held[own] == (key == "held_out")
-                for low, high in _spans(problem.sampled.time[problem.kept[own]], chosen):
-                    found = _windows(time, max(low, float(time[0]) + FITTING.settling_time), high)
-                    for n, rows in enumerate(found):
+                time, own = stretch.time[1:], problem.segment == number
+                kept = problem.sampled.time[problem.kept[own]]
+                for a, b in runs(problem.validation[own] == (key == "held_out")):
+                    low, high = max(float(kept[a]), float(time[0]) + FITTING.settling_time), float(kept[b - 1])
+                    for n, rows in enumerate(_windows(time, low, high)):
                         turns[n % _TURNS].append((number, rows))
             self.turns[key] = [turn for turn in turns if turn]
 
-    def window_errors(self, plant: Plant, key: str) -> np.ndarray:
+    def window_errors(self, plant: Plant, key: str) -> Floats:
         """(n, J) open-loop errors [rad or m] at the rows of the windows of "fit" or "held_out", turn by turn."""
         p = self.predictor
 
-        def of(turn: list[tuple[int, slice]]) -> list[np.ndarray]:
+        def of(turn: list[tuple[int, slice]]) -> list[Floats]:
             corrected = [np.ones(n, dtype=bool) for n in p.lengths]
             for number, rows in turn:
                 corrected[number][rows] = False
@@ -64,10 +63,9 @@ class Validation:
 
         found = [part for turn in parallel_map(of, self.turns[key]) for part in turn]
         found.append(np.zeros((0, p.fit_rows.shape[1])))
-        errors: np.ndarray = np.clip(np.concatenate(found), -SELECTION.not_finite, SELECTION.not_finite)
-        return errors
+        return np.clip(np.concatenate(found), -SELECTION.not_finite, SELECTION.not_finite)
 
-    def volts(self, plant: Plant) -> np.ndarray:
+    def volts(self, plant: Plant) -> Floats:
         """(N, J) voltages [V] that a plant lacks along the logs, at the rows of the innovations."""
         try:
             errors = self.predictor.errors(plant)
@@ -76,30 +74,24 @@ class Validation:
         return self.predictor.in_volts(errors, self.problem.sampled.cutoffs[1])
 
     def errors(
-        self, plants: Mapping[str, Plant], residuals: Mapping[str, np.ndarray], floor: np.ndarray, noise: NoisePair
+        self, plants: Mapping[str, Plant], residuals: Mapping[str, Floats], floor: Floats, noise: NoisePair
     ) -> Errors:
         """The table of errors of the rows that were fitted.
 
         plants, residuals : "nominal", "retuned", "augmented" -> plant, and `volts` of it; floor
         (J,): noise of the residual [V]; noise: ((J,), (J,)), as for `position_floor`.
         """
-        windows = {name: self.window_errors(plant, "fit") for name, plant in plants.items()}
-        return Errors(
-            StageErrors(
-                **{name: rms(values, self.predictor.fit_rows) for name, values in residuals.items()}, floor=floor
-            ),
-            StageErrors(
-                **{name: rms(values) for name, values in windows.items()},
-                floor=position_floor(self.predictor, self.lengths("fit"), *noise),
-            ),
-        )
+        volts = {name: rms(values, self.predictor.fit_rows) for name, values in residuals.items()}
+        windows = {name: rms(self.window_errors(plant, "fit")) for name, plant in plants.items()}
+        least = position_floor(self.predictor, self.lengths("fit"), *noise)
+        return Errors(StageErrors(**volts, floor=floor), StageErrors(**windows, floor=least))
 
-    def lengths(self, key: str) -> np.ndarray:
+    def lengths(self, key: str) -> Floats:
         """(w,) rows of each window."""
         return np.array([rows.stop - rows.start for turn in self.turns[key] for _, rows in turn], dtype=int)
 
 
-def position_floor(predictor: Predictor, lengths: np.ndarray, volts: np.ndarray, noise: np.ndarray) -> np.ndarray:
+def position_floor(predictor: Predictor, lengths: Floats, volts: Floats, noise: Floats) -> Floats:
     """(J,) root mean square error [rad or m] that noise alone makes in windows, NaN without any.
 
     lengths (w,) : rows of the windows; volts, noise (J,) : of a row's voltage [V] and of a position [rad or m], before
@@ -109,25 +101,17 @@ def position_floor(predictor: Predictor, lengths: np.ndarray, volts: np.ndarray,
         return np.full(len(noise), np.nan)
     spread = predictor.open_loop_variance(volts, noise, int(lengths.max()))
     total = np.cumsum(spread, axis=0)[lengths - 1].sum(axis=0)
-    floor: np.ndarray = np.sqrt(total / lengths.sum())
-    return floor
+    return np.sqrt(total / lengths.sum())
 
 
-def rms(values: np.ndarray, rows: np.ndarray | None = None) -> np.ndarray:
+def rms(values: Floats, rows: Bools | None = None) -> Floats:
     """(J,) root mean squares of the rows (N, J) that count, None: of all; NaN without any."""
     rows = np.ones(values.shape, dtype=bool) if rows is None else rows
-    return np.array(
-        [np.sqrt((values[rows[:, j], j] ** 2).mean()) if rows[:, j].any() else np.nan for j in range(values.shape[1])]
-    )
+    counted = [own[counts] for own, counts in zip(values.T, rows.T)]
+    return np.array([np.sqrt((own**2).mean()) if len(own) else np.nan for own in counted])
 
 
-def _spans(time: np.ndarray, inside: np.ndarray) -> list[tuple[float, float]]:
-    """(from, to) [s] of the stretches in which `inside` holds."""
-    change = np.flatnonzero(np.diff(np.r_[0, inside.astype(int), 0]))
-    return [(float(time[a]), float(time[b - 1])) for a, b in zip(change[::2], change[1::2])]
-
-
-def _windows(time: np.ndarray, low: float, high: float) -> list[slice]:
+def _windows(time: Floats, low: float, high: float) -> list[slice]:
     """Rows of the windows that a span [s] holds: those after the start of each."""
     length = high - low
     if length < SELECTION.shortest_window:

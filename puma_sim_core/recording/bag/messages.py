@@ -12,7 +12,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -21,8 +21,6 @@ from rosbags.typesys import Stores, get_typestore
 STRING = "std_msgs/msg/String"
 ARRAY = "std_msgs/msg/Float64MultiArray"
 JOINT_STATE = "sensor_msgs/msg/JointState"
-
-COMMAND_INTERFACES = ("voltage", "position")
 
 
 class Topic(NamedTuple):
@@ -38,18 +36,15 @@ URDF = Topic("robot_description", STRING, latched=True)
 STATES = Topic("joint_states", JOINT_STATE)
 CURRENTS = Topic("motor_currents", ARRAY)
 VOLTAGES = Topic("motor_voltages", ARRAY)
-VOLTAGE_COMMANDS = Topic("voltage_controller/commands", ARRAY)
-POSITION_COMMANDS = Topic("position_controller/commands", ARRAY)
 JOINT_COMMANDS = Topic("joint_commands", JOINT_STATE)
-
-
-def array_command_topic(command_interface: str) -> Topic:
-    """Topic of commands that name no joints, for ``command_interface``."""
-    return VOLTAGE_COMMANDS if command_interface == "voltage" else POSITION_COMMANDS
+#: the topics of a state in the order in which they are written, with the fields that each holds
+STATE_FIELDS = {STATES: ("position", "velocity", "effort"), CURRENTS: ("current",), VOLTAGES: ("voltage",)}
+#: command interface -> topic of the commands that name no joints
+ARRAY_COMMANDS = {name: Topic(f"{name}_controller/commands", ARRAY) for name in ("voltage", "position")}
 
 
 @lru_cache(maxsize=1)
-def typestore():
+def typestore() -> Any:
     """Message types of ROS 2 Jazzy, as the `rosbags` package holds them."""
     return get_typestore(Stores.ROS2_JAZZY)
 
@@ -60,32 +55,28 @@ def definition(type_name: str) -> str:
 
 
 def type_hash(type_name: str) -> str:
-    """Hash of a message type, as ROS 2 defines it (REP-2011)."""
+    """Hash of a message type (REP-2011)."""
     return typestore().hash_rihs01(type_name)
 
 
-def qos(topic: Topic) -> list[dict]:
+def qos(topic: Topic) -> list[dict[str, Any]]:
     """Offered quality of service of a topic, as rosbag2 writes it at metadata version 9.
 
     A new list at each call, so that YAML is written without anchors.
     """
-
-    def unlimited() -> dict[str, int]:
-        return {"sec": 9223372036, "nsec": 854775807}
-
-    return [
-        {
-            "history": "keep_last",
-            "depth": 1 if topic.latched else 10,
-            "reliability": "reliable",
-            "durability": "transient_local" if topic.latched else "volatile",
-            "deadline": unlimited(),
-            "lifespan": unlimited(),
-            "liveliness": "automatic",
-            "liveliness_lease_duration": unlimited(),
-            "avoid_ros_namespace_conventions": False,
-        }
-    ]
+    unlimited = {"sec": 9223372036, "nsec": 854775807}
+    profile = {
+        "history": "keep_last",
+        "depth": 1 if topic.latched else 10,
+        "reliability": "reliable",
+        "durability": "transient_local" if topic.latched else "volatile",
+        "deadline": dict(unlimited),
+        "lifespan": dict(unlimited),
+        "liveliness": "automatic",
+        "liveliness_lease_duration": dict(unlimited),
+        "avoid_ros_namespace_conventions": False,
+    }
+    return [profile]
 
 
 def qos_text(topic: Topic) -> str:
@@ -99,7 +90,7 @@ def encode_text(text: str) -> bytes:
     return bytes(store.serialize_cdr(store.types[STRING](text), STRING, little_endian=True))
 
 
-def decode(data: bytes, type_name: str):
+def decode(data: bytes, type_name: str) -> Any:
     """Message object from CDR bytes; ``ValueError`` if they do not decode."""
     try:
         return typestore().deserialize_cdr(data, type_name)
@@ -113,11 +104,7 @@ _STAMP_OFFSET = 4  # a std_msgs/Header comes first in its message; 4 bytes of en
 
 
 class MismatchError(Exception):
-    """A message is not of the expected fixed form."""
-
-    def __init__(self, index: int, found: str, expected: str):
-        super().__init__(index, found, expected)
-        self.index, self.found, self.expected = index, found, expected
+    """A message is not of the expected fixed form; args: its index, what was found, what was expected."""
 
 
 class FixedMessage:
@@ -126,76 +113,67 @@ class FixedMessage:
     The `rosbags` serializer makes the bytes once, the numbers are then written in place. That
     is some twenty times faster than serializing each message, and gives the same bytes.
 
-    Parameters
-    ----------
-    counts : lengths of the float64 arrays, in the order of the message's fields.
-    names, frame_id : of a ``sensor_msgs/JointState``; without names the message is a
-        ``std_msgs/Float64MultiArray``.
+    ``counts`` are the lengths of the float64 arrays. With ``names`` the message is a
+    ``sensor_msgs/JointState``, without them a ``std_msgs/Float64MultiArray``.
     """
 
     def __init__(self, counts: Sequence[int], names: Sequence[str] | None = None, frame_id: str = ""):
-        store = typestore()
-        mark = struct.unpack("<d", _MARK)[0]
-        arrays = [np.full(count, mark) for count in counts]
+        types = typestore().types
+        arrays = [np.frombuffer(_MARK * count, "<f8") for count in counts]
         if names is None:
-            layout = store.types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
-            message, type_name = store.types[ARRAY](layout, *arrays), ARRAY
+            layout = types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
+            type_name, message = ARRAY, types[ARRAY](layout, *arrays)
         else:
-            time = store.types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
-            header = store.types["std_msgs/msg/Header"](stamp=time, frame_id=frame_id)
-            message, type_name = store.types[JOINT_STATE](header, list(names), *arrays), JOINT_STATE
+            time = types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
+            header = types["std_msgs/msg/Header"](stamp=time, frame_id=frame_id)
+            type_name, message = JOINT_STATE, types[JOINT_STATE](header, list(names), *arrays)
         self.stamped = names is not None
-        self._buffer = bytearray(store.serialize_cdr(message, type_name, little_endian=True))
-        self._arrays: list[tuple[int, struct.Struct]] = []
-        offset = 0
+        self._buffer = bytearray(typestore().serialize_cdr(message, type_name, little_endian=True))
+        self._constant = np.ones(len(self._buffer), dtype=bool)
+        self._constant[_STAMP_OFFSET : _STAMP_OFFSET + 8] = not self.stamped
+        self._packers: list[tuple[struct.Struct, int]] = []
+        end = 0
         for count in counts:
-            offset = self._buffer.index(_MARK * count, offset)
-            self._arrays.append((offset, struct.Struct(f"<{count}d")))
-            offset += 8 * count
-        varying = np.zeros(len(self._buffer), dtype=bool)
-        for offset, packer in self._arrays:
-            varying[offset : offset + packer.size] = True
-        if self.stamped:
-            varying[_STAMP_OFFSET : _STAMP_OFFSET + 8] = True
-        self._constant = ~varying
-        self._constant_bytes = np.frombuffer(bytes(self._buffer), np.uint8)[self._constant]
-
-    @property
-    def size(self) -> int:
-        """Length of the message [bytes]."""
-        return len(self._constant)
+            start = self._buffer.index(_MARK * count, end)
+            end = start + 8 * count
+            self._constant[start:end] = False
+            self._packers.append((struct.Struct(f"<{count}d"), start))
+        self._constant_bytes = np.array(self._buffer)[self._constant]
+        self._form = np.dtype(
+            {
+                "names": ["sec", "nanosec", *map(str, range(len(counts)))],
+                "formats": ["<i4", "<u4", *(("<f8", (count,)) for count in counts)],
+                "offsets": [_STAMP_OFFSET, _STAMP_OFFSET + 4, *(start for _, start in self._packers)],
+                "itemsize": len(self._buffer),
+            }
+        )
 
     def encode(self, time_ns: int, *arrays: Sequence[float]) -> bytes:
         """CDR bytes with these numbers; ``struct.error`` if an array has another length."""
-        buffer = self._buffer
         if self.stamped:
-            struct.pack_into("<iI", buffer, _STAMP_OFFSET, *divmod(time_ns, 1_000_000_000))
-        for (offset, packer), values in zip(self._arrays, arrays, strict=True):
-            packer.pack_into(buffer, offset, *values)
-        return bytes(buffer)
+            struct.pack_into("<iI", self._buffer, _STAMP_OFFSET, *divmod(time_ns, 1_000_000_000))
+        for (packer, start), values in zip(self._packers, arrays, strict=True):
+            packer.pack_into(self._buffer, start, *values)
+        return bytes(self._buffer)
 
     def decode(self, messages: Sequence[bytes]) -> tuple[np.ndarray | None, list[np.ndarray]]:
         """Stamps (n,) [ns] (None if there are none) and arrays, each (n, count).
 
         Raises `MismatchError` with the index of the first message of another form.
         """
+        size = len(self._buffer)
         for index, data in enumerate(messages):
-            if len(data) != self.size:
-                raise MismatchError(index, f"{len(data)} bytes", f"{self.size} bytes")
-        rows = np.frombuffer(b"".join(messages), np.uint8).reshape(len(messages), self.size)
-        same = (rows[:, self._constant] == self._constant_bytes).all(axis=1)
+            if len(data) != size:
+                raise MismatchError(index, f"{len(data)} bytes", f"{size} bytes")
+        rows = np.frombuffer(b"".join(messages), self._form)
+        same = (rows.view(np.uint8).reshape(-1, size)[:, self._constant] == self._constant_bytes).all(axis=1)
         if not same.all():
             raise MismatchError(int(np.argmin(same)), "other names or array sizes", "those of the first state")
+        stamps = rows["sec"].astype(np.int64) * 1_000_000_000 + rows["nanosec"] if self.stamped else None
+        return stamps, [rows[str(place)].astype(float) for place in range(len(self._packers))]
 
-        def columns(offset: int, size: int, kind: str) -> np.ndarray:
-            return np.ascontiguousarray(rows[:, offset : offset + size]).view(kind)
 
-        stamps = None
-        if self.stamped:
-            seconds = columns(_STAMP_OFFSET, 4, "<i4")[:, 0].astype(np.int64)
-            stamps = seconds * 1_000_000_000 + columns(_STAMP_OFFSET + 4, 4, "<u4")[:, 0]
-        arrays = [
-            columns(offset, packer.size, "<f8").astype(float) if packer.size else np.empty((len(messages), 0))
-            for offset, packer in self._arrays
-        ]
-        return stamps, arrays
+def state_forms(joint_names: Sequence[str], frame_id: str) -> dict[Topic, FixedMessage]:
+    """The fixed messages of a state, by topic in the order of `STATE_FIELDS`."""
+    array = FixedMessage([len(joint_names)])
+    return {STATES: FixedMessage([len(joint_names)] * 3, joint_names, frame_id), CURRENTS: array, VOLTAGES: array}

@@ -4,9 +4,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import yaml
 
@@ -16,48 +16,43 @@ from puma_sim_core.recording.bag.messages import Topic, qos, type_hash
 NAME = "metadata.yaml"
 VERSION = 9
 _ROOT = "rosbag2_bagfile_information"
+_KINDS = {dict: "a mapping", str: "a text", int: "a whole number", list: "a list"}
 
 
-class TopicCount(NamedTuple):
-    """A topic with its name in the bag and the number of its messages."""
-
-    topic: Topic
-    name: str
-    count: int
-
-
-def information(topics: Iterable[TopicCount], last_ns: int, file_name: str | None = None) -> dict[str, object]:
+def information(
+    topics: Sequence[tuple[Topic, str, int]], last_ns: int, file_name: str | None = None
+) -> dict[str, object]:
     """Every key that rosbag2 reads at version 9, in the order in which it writes them.
 
     Parameters
     ----------
+    topics : each with its name in the bag and the number of its messages.
     last_ns : time of the last message [ns]; the first is at 0.
-    file_name : the MCAP file. Without it the lists of files are empty: the copy inside the MCAP
-        file is written so, because rosbag2 puts the name of the file it opened there, and
-        because equal sessions shall give equal files whatever their names.
+    file_name : the MCAP file. The copy inside that file has none: rosbag2 puts the name of the file
+        that it opened there, and equal sessions give equal files whatever their names.
     """
-    topics = list(topics)
-    count = sum(topic.count for topic in topics)
-    span = {"starting_time": {"nanoseconds_since_epoch": 0}, "duration": {"nanoseconds": last_ns}}
-    file = {"path": file_name, **_copy(span), "message_count": count}
+    total = sum(count for *_, count in topics)
+    start, duration = {"nanoseconds_since_epoch": 0}, {"nanoseconds": last_ns}
+    # copies: the same object twice would be written as a YAML alias
+    file = {"path": file_name, "starting_time": dict(start), "duration": dict(duration), "message_count": total}
     return {
         "version": VERSION,
         "storage_identifier": "mcap",
-        "duration": span["duration"],
-        "starting_time": span["starting_time"],
-        "message_count": count,
+        "duration": duration,
+        "starting_time": start,
+        "message_count": total,
         "topics_with_message_count": [
             {
                 "topic_metadata": {
-                    "name": topic.name,
-                    "type": topic.topic.type,
+                    "name": name,
+                    "type": topic.type,
                     "serialization_format": "cdr",
-                    "offered_qos_profiles": qos(topic.topic),
-                    "type_description_hash": type_hash(topic.topic.type),
+                    "offered_qos_profiles": qos(topic),
+                    "type_description_hash": type_hash(topic.type),
                 },
-                "message_count": topic.count,
+                "message_count": count,
             }
-            for topic in topics
+            for topic, name, count in topics
         ],
         "compression_format": "",
         "compression_mode": "",
@@ -66,11 +61,6 @@ def information(topics: Iterable[TopicCount], last_ns: int, file_name: str | Non
         "custom_data": None,
         "ros_distro": "jazzy",
     }
-
-
-def _copy(mapping: dict[str, dict[str, int]]) -> dict[str, dict[str, int]]:
-    # The same object twice would be written as a YAML alias.
-    return {key: dict(value) for key, value in mapping.items()}
 
 
 def dump(content: dict[str, object]) -> str:
@@ -85,15 +75,8 @@ def write(directory: Path, content: dict[str, object]) -> None:
     part.replace(directory / NAME)
 
 
-class StoredMetadata(NamedTuple):
-    """What the reader needs from ``metadata.yaml``."""
-
-    file: Path
-    counts: dict[str, int]
-
-
-def read(directory: Path) -> StoredMetadata:
-    """Read ``metadata.yaml``; `BagError` names the key that is missing or wrong."""
+def read(directory: Path) -> tuple[Path, dict[str, int]]:
+    """The MCAP file and its number of messages by topic; `BagError` names the key that is missing or wrong."""
     path = directory / NAME
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -109,25 +92,21 @@ def read(directory: Path) -> StoredMetadata:
     if _item(content, "version", int, path) > VERSION:
         raise BagError(f"version is {content['version']}", where=path, expected=f"at most {VERSION}")
     if content.get("compression_mode"):
-        raise BagError(
-            f"compression_mode is {content['compression_mode']!r}",
-            where=path,
-            expected="a bag without compression by rosbag2",
-        )
+        mode = f"compression_mode is {content['compression_mode']!r}"
+        raise BagError(mode, where=path, expected="a bag without compression by rosbag2")
     files = _item(content, "relative_file_paths", list, path)
     if len(files) != 1 or not isinstance(files[0], str) or Path(files[0]).name != files[0]:
         raise BagError(f"relative_file_paths is {files!r}", where=path, expected="one file in this directory")
-    counts = {}
-    for entry in _item(content, "topics_with_message_count", list, path):
-        name = _item(_item(entry, "topic_metadata", dict, path), "name", str, path)
-        counts[name] = _item(entry, "message_count", int, path)
-    return StoredMetadata(directory / files[0], counts)
+    counts = {
+        _item(_item(entry, "topic_metadata", dict, path), "name", str, path): _item(entry, "message_count", int, path)
+        for entry in _item(content, "topics_with_message_count", list, path)
+    }
+    return directory / files[0], counts
 
 
-def _item(mapping: object, key: str, kind: type, path: Path):
+def _item(mapping: object, key: str, kind: type, path: Path) -> Any:
     value = mapping.get(key) if isinstance(mapping, dict) else None
     if not isinstance(value, kind):
         found = "is missing" if value is None else f"is {value!r:.60}"
-        kinds = {dict: "a mapping", str: "a text", int: "a whole number", list: "a list"}
-        raise BagError(f"{key} {found}", where=path, expected=kinds[kind])
+        raise BagError(f"{key} {found}", where=path, expected=_KINDS[kind])
     return value

@@ -5,16 +5,16 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from puma_sim_core.errors import BagError
 from puma_sim_core.recording.bag import messages, metadata
-from puma_sim_core.recording.bag.messages import FixedMessage, MismatchError, Topic
+from puma_sim_core.recording.bag.messages import ARRAY_COMMANDS, JOINT_COMMANDS, MODEL, STATES, FixedMessage, Topic
 from puma_sim_core.recording.bag.scan import RawMessage, Scan
 
 
@@ -54,10 +54,7 @@ class BagContents:
 
 
 def iterate_messages(path: str | Path) -> Iterator[RawMessage]:
-    """Messages of a closed bag in the order of their log times, whatever program wrote it.
-
-    Raises `BagError` as `read_bag` does.
-    """
+    """Messages of a closed bag of any program, in the order of their log times; raises as `read_bag` does."""
     return _open(Path(path), partial=False).messages()
 
 
@@ -73,8 +70,7 @@ def read_bag(path: str | Path, *, partial: bool = False) -> BagContents:
     Raises
     ------
     BagError : no bag, or one of another program; cut off, without ``metadata.yaml``, without a
-        topic, or with numbers of messages that do not agree. The text names the path, the offset
-        or the topic, and what was expected.
+        topic, or with numbers of messages that do not agree.
     """
     return _Session(_open(Path(path), partial), partial).contents()
 
@@ -94,10 +90,10 @@ def mcap_file(path: Path, partial: bool = False) -> tuple[Path, dict[str, int] |
         if len(files) > 1:
             raise BagError(f"holds {len(files)} MCAP files", where=path, expected="one")
         return files[0], None
-    stored = metadata.read(path)
-    if not stored.file.is_file():
-        raise BagError("does not exist", where=stored.file, expected="the file of the bag")
-    return stored.file, stored.counts
+    file, counts = metadata.read(path)
+    if not file.is_file():
+        raise BagError("does not exist", where=file, expected="the file of the bag")
+    return file, counts
 
 
 def _hint(path: Path) -> str:
@@ -108,19 +104,9 @@ def _open(path: Path, partial: bool) -> Scan:
     file, counts = mcap_file(path, partial)
     scan = Scan(file, counts)
     if not (scan.complete or partial):
-        raise BagError(
-            f"the file ends at offset {scan.size} without an index; {_hint(path)}", where=file, expected="a closed bag"
-        )
+        what = f"the file ends at offset {scan.size} without an index; {_hint(path)}"
+        raise BagError(what, where=file, expected="a closed bag")
     return scan
-
-
-class _Series:
-    """Messages of one topic, with their times [ns] and their ranks in the whole bag."""
-
-    def __init__(self) -> None:
-        self.data: list[bytes] = []
-        self.times: list[int] = []
-        self.ranks: list[int] = []
 
 
 class _Session:
@@ -128,44 +114,38 @@ class _Session:
 
     def __init__(self, scan: Scan, partial: bool):
         self.scan, self.partial = scan, partial
-        self.series: dict[str, _Series] = defaultdict(_Series)
+        #: topic -> its messages, each with its rank in the whole bag
+        self.found: dict[str, list[tuple[int, RawMessage]]] = defaultdict(list)
         for rank, message in enumerate(scan.messages(partial)):
-            series = self.series[message.topic]
-            series.data.append(message.data)
-            series.times.append(message.time_ns)
-            series.ranks.append(rank)
+            self.found[message.topic].append((rank, message))
         self.complete = scan.complete and scan.fault is None
-        models = [name for name in scan.topics if name.endswith("/" + messages.MODEL.name)]
-        if not models and scan.fault:
-            raise BagError(
-                f"{scan.fault.what}, and there is no model before", where=scan.fault.where, expected=scan.fault.expected
-            )
+        models = [name for name in scan.topics if name.endswith("/" + MODEL.name)]
+        if not models and (fault := scan.fault):
+            raise BagError(f"{fault.what}, and there is no model before", where=fault.where, expected=fault.expected)
         if len(models) != 1:
-            raise BagError(
-                f"{len(models)} topics are named {messages.MODEL.name}",
-                where=scan.path,
-                expected="one, which each bag of this simulator has",
-            )
-        self.namespace = models[0][: -len("/" + messages.MODEL.name)]
+            what, expected = f"{len(models)} topics are named {MODEL.name}", "one, which each bag of this simulator has"
+            raise BagError(what, where=scan.path, expected=expected)
+        self.namespace = models[0].removesuffix("/" + MODEL.name)
 
     def contents(self) -> BagContents:
-        config_text = self._text(messages.MODEL)
-        urdf = self._text(messages.URDF) if self._name(messages.URDF) in self.scan.topics else None
+        config_text = self._text(MODEL)
+        urdf = self._text(messages.URDF) if self._is_there(messages.URDF) else None
         interface = self._command_interface()
         names, frame_id = self._joints()
-        form = FixedMessage([len(names)] * 3, names, frame_id)
-        time_ns, (position, velocity, effort) = self._fixed(messages.STATES, form)
-        array = FixedMessage([len(names)])
-        currents_ns, (current,) = self._fixed(messages.CURRENTS, array)
-        voltages_ns, (voltage,) = self._fixed(messages.VOLTAGES, array)
-        count = min(len(time_ns), len(currents_ns), len(voltages_ns))
-        for topic, other in ((messages.CURRENTS, currents_ns), (messages.VOLTAGES, voltages_ns)):
+        times: dict[Topic, np.ndarray] = {}
+        fields: dict[str, np.ndarray] = {}
+        for topic, form in messages.state_forms(names, frame_id).items():
+            times[topic], arrays = self._fixed(topic, form)
+            fields.update(zip(messages.STATE_FIELDS[topic], arrays))
+        time_ns = times.pop(STATES)
+        count = min(map(len, (time_ns, *times.values())))
+        for topic, other in times.items():
             if not self.partial and len(other) != len(time_ns):
                 raise self._error(topic, f"{len(other)} messages", f"{len(time_ns)}, as of states")
             if not np.array_equal(other[:count], time_ns[:count]):
                 raise self._error(topic, "times differ from those of the states", "the same")
         if count == 0:
-            raise self._error(messages.STATES, "no whole period was written", "one or more")
+            raise self._error(STATES, "no whole period was written", "one or more")
         time_ns = time_ns[:count]
         steps, period_ns = self._steps(time_ns)
         return BagContents(
@@ -180,28 +160,26 @@ class _Session:
             period_ns=period_ns,
             steps=steps,
             time_ns=time_ns,
-            position=position[:count],
-            velocity=velocity[:count],
-            effort=effort[:count],
-            current=current[:count],
-            voltage=voltage[:count],
-            commands=self._commands(interface, names, period_ns, int(time_ns[-1])),
+            **{name: values[:count] for name, values in fields.items()},
+            commands=self._commands(ARRAY_COMMANDS[interface], len(names), period_ns or 1, int(time_ns[-1])),
         )
 
     def _name(self, topic: Topic) -> str:
         return f"{self.namespace}/{topic.name}"
+
+    def _is_there(self, topic: Topic) -> bool:
+        return self._name(topic) in self.scan.topics
 
     def _error(self, topic: Topic, what: str, expected: str) -> BagError:
         return BagError(what, where=f"{self.scan.path}, topic {self._name(topic)}", expected=expected)
 
     def _messages(self, topic: Topic) -> list[bytes]:
         name = self._name(topic)
-        found = self.scan.topics.get(name)
-        if found is None:
+        if not self._is_there(topic):
             raise self._error(topic, "is missing", "in each bag of this simulator")
-        if found != topic.type:
-            raise self._error(topic, f"its type is {found!r}", repr(topic.type))
-        return self.series[name].data
+        if self.scan.topics[name] != topic.type:
+            raise self._error(topic, f"its type is {self.scan.topics[name]!r}", repr(topic.type))
+        return [message.data for _, message in self.found[name]]
 
     def _text(self, topic: Topic) -> str:
         found = self._messages(topic)
@@ -209,88 +187,70 @@ class _Session:
             raise self._error(topic, f"{len(found)} messages", "one")
         return self._decode(topic, found[0]).data
 
-    def _decode(self, topic: Topic, data: bytes):
+    def _decode(self, topic: Topic, data: bytes) -> Any:
         try:
             return messages.decode(data, topic.type)
         except ValueError as error:
             raise self._error(topic, f"a message does not decode ({error})", topic.type) from error
 
     def _command_interface(self) -> str:
-        present = [
-            interface
-            for interface in messages.COMMAND_INTERFACES
-            if self._name(messages.array_command_topic(interface)) in self.scan.topics
-        ]
+        present = [interface for interface, topic in ARRAY_COMMANDS.items() if self._is_there(topic)]
         if len(present) != 1:
-            raise BagError(
-                f"{len(present)} command topics",
-                where=self.scan.path,
-                expected=" or ".join(
-                    self._name(messages.array_command_topic(interface)) for interface in messages.COMMAND_INTERFACES
-                ),
-            )
+            expected = " or ".join(map(self._name, ARRAY_COMMANDS.values()))
+            raise BagError(f"{len(present)} command topics", where=self.scan.path, expected=expected)
         return present[0]
 
     def _joints(self) -> tuple[tuple[str, ...], str]:
-        found = self._messages(messages.STATES)
+        """Joint names and frame of the first state."""
+        found = self._messages(STATES)
         if not found:
-            raise self._error(messages.STATES, "no whole period was written", "one or more")
-        first = self._decode(messages.STATES, found[0])
+            raise self._error(STATES, "no whole period was written", "one or more")
+        first = self._decode(STATES, found[0])
         return tuple(first.name), first.header.frame_id
 
     def _steps(self, time_ns: np.ndarray) -> tuple[np.ndarray, int | None]:
+        """Steps of the states, and the period; their times are whole periods from 0 on."""
         period_ns = int(time_ns[1]) if len(time_ns) > 1 else None
         if time_ns[0] != 0 or period_ns == 0:
-            raise self._error(messages.STATES, f"states are at {time_ns[:2].tolist()} ns", "0 and one period")
+            raise self._error(STATES, f"states are at {time_ns[:2].tolist()} ns", "0 and one period")
         steps = np.arange(len(time_ns))
         wrong = np.flatnonzero(time_ns != steps * (period_ns or 0))
         if wrong.size:
-            raise self._error(
-                messages.STATES,
-                f"state {wrong[0]} is at {time_ns[wrong[0]]} ns",
-                f"{wrong[0]} periods of {period_ns} ns",
-            )
+            n = wrong[0]
+            raise self._error(STATES, f"state {n} is at {time_ns[n]} ns", f"{n} periods of {period_ns} ns")
         return steps, period_ns
 
     def _fixed(self, topic: Topic, form: FixedMessage) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Times (n,) [ns] and arrays (n, count) of the messages of one form."""
         found = self._messages(topic)
-        time_ns = np.array(self.series[self._name(topic)].times, dtype=np.int64)
+        time_ns = np.array([message.time_ns for _, message in self.found[self._name(topic)]], dtype=np.int64)
         try:
             stamps, arrays = form.decode(found)
-        except MismatchError as error:
-            raise self._error(topic, f"message {error.index} has {error.found}", error.expected) from error
+        except messages.MismatchError as error:
+            index, problem, expected = error.args
+            raise self._error(topic, f"message {index} has {problem}", expected) from error
         if stamps is not None and not np.array_equal(stamps, time_ns):
-            index = int(np.flatnonzero(stamps != time_ns)[0])
-            raise self._error(
-                topic, f"message {index} is stamped {stamps[index]} ns", f"its log time, {time_ns[index]} ns"
-            )
+            n = int(np.flatnonzero(stamps != time_ns)[0])
+            raise self._error(topic, f"message {n} is stamped {stamps[n]} ns", f"its log time, {time_ns[n]} ns")
         return time_ns, arrays
 
     def _commands(
-        self, interface: str, names: tuple[str, ...], period_ns: int | None, end_ns: int
+        self, array_topic: Topic, joints: int, period_ns: int, end_ns: int
     ) -> tuple[tuple[int, RecordedCommand], ...]:
         """Commands of all topics, in the order in which they were written."""
+        _, (values,) = self._fixed(array_topic, FixedMessage([joints]))
+        given = {array_topic: [RecordedCommand(None, tuple(row)) for row in values.tolist()]}
+        if self._is_there(JOINT_COMMANDS):
+            decoded = [self._decode(JOINT_COMMANDS, data) for data in self._messages(JOINT_COMMANDS)]
+            given[JOINT_COMMANDS] = [RecordedCommand(tuple(m.name), tuple(m.position.tolist())) for m in decoded]
         ranked: list[tuple[int, int, RecordedCommand]] = []
-
-        def add(topic: Topic, values: Sequence, joints: Sequence) -> None:
-            series = self.series[self._name(topic)]
-            for rank, time_ns, row, names in zip(series.ranks, series.times, values, joints):
+        for topic, commands in given.items():
+            for (rank, message), command in zip(self.found[self._name(topic)], commands):
+                time_ns = message.time_ns
                 if not self.complete and time_ns >= end_ns:
-                    return
-                step, rest = divmod(time_ns, period_ns or 1)
+                    break
+                step, rest = divmod(time_ns, period_ns)
                 if rest or not 0 <= time_ns <= end_ns:
                     raise self._error(topic, f"a command at {time_ns} ns", "the time of a state")
-                ranked.append((rank, step, RecordedCommand(names, tuple(row))))
-
-        topic = messages.array_command_topic(interface)
-        _, (values,) = self._fixed(topic, FixedMessage([len(names)]))
-        add(topic, values.tolist(), [None] * len(values))
-        if self._name(messages.JOINT_COMMANDS) in self.scan.topics:
-            found = self._messages(messages.JOINT_COMMANDS)
-            decoded = [self._decode(messages.JOINT_COMMANDS, data) for data in found]
-            add(
-                messages.JOINT_COMMANDS,
-                [message.position.tolist() for message in decoded],
-                [tuple(message.name) for message in decoded],
-            )
+                ranked.append((rank, step, command))
         return tuple((step, command) for _, step, command in sorted(ranked))

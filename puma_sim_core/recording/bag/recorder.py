@@ -7,15 +7,17 @@ from __future__ import annotations
 import re
 import shutil
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import IO, Any
 
 from mcap.writer import CompressionType, Writer
 
 from puma_sim_core import __version__
 from puma_sim_core.errors import BagError
 from puma_sim_core.recording.bag import messages, metadata
-from puma_sim_core.recording.bag.messages import FixedMessage, Topic
+from puma_sim_core.recording.bag.messages import ARRAY_COMMANDS, JOINT_COMMANDS, STATE_FIELDS, FixedMessage, Topic
 
 # Half of the second that a killed recorder may lose at most.
 _FLUSH_NS = 500_000_000
@@ -37,16 +39,14 @@ class BagRecorder:
     namespace : ROS namespace of the topics, such as "/cell1".
     config_text : YAML text of the model and the session, from which a replay rebuilds both.
     urdf : text for the topic ``robot_description``, which is left out without it.
-    joint_names : names of the joints, in the order of the arrays of a state.
-    frame_id : frame of the joint states.
+    joint_names, frame_id : of the joint states, in the order of the arrays of a state.
     command_interface : "voltage" or "position".
     period_ns : simulated time of one step [ns].
 
     Raises
     ------
-    BagError : the path exists or cannot be written, or an argument is not usable. Nothing is
-        left on the disk then. Later, if the disk refuses the data: the bag stays as far as it
-        was flushed and can be recovered.
+    BagError : the path exists or cannot be written, or an argument is not usable; nothing is left
+        on the disk then. Later, if the disk refuses the data: what was flushed can be recovered.
     """
 
     def __init__(
@@ -65,41 +65,33 @@ class BagRecorder:
         namespace = "/" + namespace.strip("/") if namespace.strip("/") else ""
         if not _NAMESPACE.fullmatch(namespace):
             raise BagError(f"{namespace!r} is no ROS namespace", where=path, expected="such as '/cell1'")
-        if command_interface not in messages.COMMAND_INTERFACES:
-            raise BagError(
-                f"the command interface is {command_interface!r}",
-                where=path,
-                expected=" or ".join(messages.COMMAND_INTERFACES),
-            )
+        if command_interface not in ARRAY_COMMANDS:
+            what, expected = f"the command interface is {command_interface!r}", " or ".join(ARRAY_COMMANDS)
+            raise BagError(what, where=path, expected=expected)
         if period_ns <= 0:
             raise BagError(f"the period is {period_ns} ns", where=path, expected="a positive one")
-        self._prefix = namespace + "/"
-        self._interface = command_interface
-        self._period_ns = period_ns
-        self._step = -1
-        self._time_ns = 0
-        self._flush_at_ns = 0
-        self._file = None
-        self._broken = False
-        self._reported = False
-        self.complete = False
-        count = len(joint_names)
-        self._state = FixedMessage([count] * 3, joint_names, frame_id)
-        self._array = FixedMessage([count])
+        self._prefix, self._interface, self._period_ns = namespace + "/", command_interface, period_ns
+        self._step, self._time_ns, self._flush_at_ns = -1, 0, 0
+        self._file: IO[bytes] | None = None
+        self._broken = self._reported = self.complete = False
+        self._state_forms = messages.state_forms(joint_names, frame_id)
+        self._array = FixedMessage([len(joint_names)])
         self._joint_commands: dict[tuple[str, ...], FixedMessage] = {}
-        topics = [messages.MODEL, messages.STATES, messages.CURRENTS, messages.VOLTAGES]
-        topics.append(messages.array_command_topic(command_interface))
-        if command_interface == "position":
-            topics.append(messages.JOINT_COMMANDS)
-        if urdf is not None:
-            topics.insert(1, messages.URDF)
-        self._counts = dict.fromkeys(topics, 0)
-        self._make_directory()
+        texts = {messages.MODEL: config_text} if urdf is None else {messages.MODEL: config_text, messages.URDF: urdf}
+        by_name = [JOINT_COMMANDS] if command_interface == "position" else []
+        self._counts = dict.fromkeys([*texts, *STATE_FIELDS, ARRAY_COMMANDS[command_interface], *by_name], 0)
         try:
-            self._open(topics)
-            self._add(messages.MODEL, messages.encode_text(config_text), 0)
-            if urdf is not None:
-                self._add(messages.URDF, messages.encode_text(urdf), 0)
+            self.path.mkdir()
+        except FileExistsError as error:
+            raise BagError("exists already", where=self.path, expected="the path of a new bag") from error
+        except OSError as error:
+            if self.path.parent.is_dir():
+                raise self._disk_error(error) from error
+            raise BagError("cannot be made", where=self.path, expected=f"{self.path.parent} as a directory") from error
+        try:
+            self._open()
+            for topic, text in texts.items():
+                self._add(topic, messages.encode_text(text), 0)
             self.flush()
             # The first state follows at once, so that there is one to recover.
             self._flush_at_ns = 0
@@ -110,68 +102,46 @@ class BagRecorder:
                 raise self._disk_error(error) from error
             raise
 
-    def _make_directory(self) -> None:
-        try:
-            self.path.mkdir()
-        except FileExistsError as error:
-            raise BagError("exists already", where=self.path, expected="the path of a new bag") from error
-        except OSError as error:
-            if self.path.parent.is_dir():
-                raise self._disk_error(error) from error
-            raise BagError("cannot be made", where=self.path, expected=f"{self.path.parent} as a directory") from error
-
-    def _open(self, topics: list[Topic]) -> None:
+    def _open(self) -> None:
         # Larger than a chunk with its index, so that each flush is one write to the file.
         self._file = open(self.path / f"{self.path.name}_0.mcap", "xb", buffering=4 * _CHUNK_BYTES)
         self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.NONE)
         self._writer.start(profile="ros2", library=f"puma-sim-core {__version__}")
         schemas: dict[str, int] = {}
         self._channels: dict[Topic, int] = {}
-        for topic in topics:
-            if topic.type not in schemas:
-                schemas[topic.type] = self._writer.register_schema(
-                    topic.type, "ros2msg", messages.definition(topic.type).encode()
-                )
-            self._channels[topic] = self._writer.register_channel(
-                self._prefix + topic.name,
-                "cdr",
-                schemas[topic.type],
-                {"offered_qos_profiles": messages.qos_text(topic), "topic_type_hash": messages.type_hash(topic.type)},
-            )
+        for topic in self._counts:
+            kind = topic.type
+            if kind not in schemas:
+                schemas[kind] = self._writer.register_schema(kind, "ros2msg", messages.definition(kind).encode())
+            profile = {"offered_qos_profiles": messages.qos_text(topic), "topic_type_hash": messages.type_hash(kind)}
+            name = self._prefix + topic.name
+            self._channels[topic] = self._writer.register_channel(name, "cdr", schemas[kind], profile)
 
-    def write_state(self, state) -> None:
-        """Write a state: the next step after the last one, at the time step x period.
+    def write_state(self, state: Any) -> None:
+        """Write a state (such as `SessionState`): the next step, at the time step x period.
 
-        ``state`` has ``step``, ``time_ns`` [ns], and one number per joint in ``position`` [rad],
-        ``velocity`` [rad/s], ``effort`` [N.m], ``current`` [A], ``voltage`` [V].
         Raises `BagError` if the step, the time or a length is another, or on a full disk.
         """
         self._check_usable()
         step, time_ns = state.step, state.time_ns
         if step != self._step + 1 or time_ns != step * self._period_ns:
-            raise BagError(
-                f"the state is of step {step} at {time_ns} ns",
-                where=self.path,
-                expected=f"step {self._step + 1} at {(self._step + 1) * self._period_ns} ns",
-            )
+            expected = f"step {self._step + 1} at {(self._step + 1) * self._period_ns} ns"
+            raise BagError(f"the state is of step {step} at {time_ns} ns", where=self.path, expected=expected)
         try:
-            joints = self._state.encode(time_ns, state.position, state.velocity, state.effort)
-            currents = self._array.encode(time_ns, state.current)
-            voltages = self._array.encode(time_ns, state.voltage)
+            encoded = [
+                (topic, form.encode(time_ns, *(getattr(state, name) for name in STATE_FIELDS[topic])))
+                for topic, form in self._state_forms.items()
+            ]
         except struct.error as error:
-            raise BagError(
-                f"the state of step {step} cannot be written ({error})",
-                where=self.path,
-                expected="one number per joint in each field",
-            ) from error
-        self._add(messages.STATES, joints, time_ns)
-        self._add(messages.CURRENTS, currents, time_ns)
-        self._add(messages.VOLTAGES, voltages, time_ns)
+            what = f"the state of step {step} cannot be written ({error})"
+            raise BagError(what, where=self.path, expected="one number per joint in each field") from error
+        for topic, data in encoded:
+            self._add(topic, data, time_ns)
         self._step, self._time_ns = step, time_ns
         if time_ns >= self._flush_at_ns:
             self.flush()
 
-    def write_command(self, time_ns: int, command) -> None:
+    def write_command(self, time_ns: int, command: Any) -> None:
         """Write a command that the step at ``time_ns`` [ns] consumes, after that step's state.
 
         ``command`` has ``values`` (V or rad) and ``names`` of the joints, None for all of them
@@ -180,57 +150,45 @@ class BagRecorder:
         """
         self._check_usable()
         if self._step < 0 or time_ns != self._time_ns:
-            raise BagError(
-                f"a command at {time_ns} ns",
-                where=self.path,
-                expected="the time of the last state"
-                + (f", {self._time_ns} ns" if self._step >= 0 else "; no state was written yet"),
-            )
-        if command.names is None:
-            topic, form = messages.array_command_topic(self._interface), self._array
-            arrays = (command.values,)
-        elif self._interface == "position":
-            topic, form = messages.JOINT_COMMANDS, self._named_form(tuple(command.names))
-            arrays = (command.values, (), ())
-        else:
-            raise BagError("a command by joint names", where=self.path, expected="voltages of all joints")
+            last = f", {self._time_ns} ns" if self._step >= 0 else "; no state was written yet"
+            raise BagError(f"a command at {time_ns} ns", where=self.path, expected=f"the time of the last state{last}")
+        topic, form, arrays = ARRAY_COMMANDS[self._interface], self._array, [command.values]
+        if command.names is not None:
+            if self._interface == "voltage":
+                raise BagError("a command by joint names", where=self.path, expected="voltages of all joints")
+            names = tuple(command.names)
+            if names not in self._joint_commands:
+                self._joint_commands[names] = FixedMessage([len(names), 0, 0], names)
+            topic, form, arrays = JOINT_COMMANDS, self._joint_commands[names], [command.values, (), ()]
         try:
             data = form.encode(time_ns, *arrays)
         except struct.error as error:
-            raise BagError(
-                f"the command {command.values!r} cannot be written ({error})",
-                where=f"{self.path}, topic {self._prefix}{topic.name}",
-                expected="one number per joint",
-            ) from error
+            what, where = f"the command {command.values!r} cannot be written ({error})", self._prefix + topic.name
+            raise BagError(what, where=f"{self.path}, topic {where}", expected="one number per joint") from error
         self._add(topic, data, time_ns)
-
-    def _named_form(self, names: tuple[str, ...]) -> FixedMessage:
-        form = self._joint_commands.get(names)
-        if form is None:
-            form = self._joint_commands[names] = FixedMessage([len(names), 0, 0], names)
-        return form
 
     def flush(self) -> None:
         """Hand everything written so far to the operating system, as a closed chunk."""
         self._check_usable()
-        self._broken = True
-        try:
-            self._writer.flush()
-        except OSError as error:
-            raise self._disk_error(error) from error
-        self._broken = False
+        with self._writing():
+            self._writer.flush()  # type: ignore[no-untyped-call]
         self._flush_at_ns = self._time_ns + _FLUSH_NS
 
     def _add(self, topic: Topic, data: bytes, time_ns: int) -> None:
+        count = self._counts[topic]
+        with self._writing():
+            self._writer.add_message(self._channels[topic], time_ns, data, time_ns, count)
+            self._counts[topic] = count + 1
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
         # Whatever interrupts the writer (a full disk, Ctrl-C) may leave half a record in the
         # open chunk; such a bag must not be closed as if it were whole.
         self._broken = True
-        count = self._counts[topic]
         try:
-            self._writer.add_message(self._channels[topic], time_ns, data, time_ns, count)
+            yield
         except OSError as error:
             raise self._disk_error(error) from error
-        self._counts[topic] = count + 1
         self._broken = False
 
     def _check_usable(self) -> None:
@@ -251,24 +209,24 @@ class BagRecorder:
             if not self._reported:
                 raise BagError(f"a write was interrupted; {self._hint()}", where=self.path)
             return
-        counts = [metadata.TopicCount(topic, self._prefix + topic.name, count) for topic, count in self._counts.items()]
-        self._broken = True
+        counts = [(topic, self._prefix + topic.name, count) for topic, count in self._counts.items()]
         try:
-            inner = metadata.dump(metadata.information(counts, self._time_ns)).strip()
-            self._writer.add_metadata("rosbag2", {"serialized_metadata": inner})
-            self._writer.finish()
-            self._file.close()
-            name = f"{self.path.name}_0.mcap"
-            metadata.write(self.path, metadata.information(counts, self._time_ns, name))
-        except OSError as error:
+            with self._writing():
+                inner = metadata.dump(metadata.information(counts, self._time_ns)).strip()
+                self._writer.add_metadata("rosbag2", {"serialized_metadata": inner})
+                self._writer.finish()  # type: ignore[no-untyped-call]
+                self._file.close()
+                name = f"{self.path.name}_0.mcap"
+                metadata.write(self.path, metadata.information(counts, self._time_ns, name))
+        except BagError:
             self._abandon()
-            raise self._disk_error(error) from error
-        self._file, self._broken, self.complete = None, False, True
+            raise
+        self._file, self.complete = None, True
 
     def _abandon(self) -> None:
         # The raw file is closed so that the buffer above it is dropped, not written again.
         if self._file is not None:
-            self._file.raw.close()
+            self._file.raw.close()  # type: ignore[attr-defined]
             self._file = None
 
     def _disk_error(self, error: OSError) -> BagError:

@@ -5,43 +5,30 @@
 from __future__ import annotations
 
 import shutil
+from itertools import chain
 from pathlib import Path
+from types import SimpleNamespace
 from typing import NamedTuple
 
+from puma_sim_core.recording.bag.messages import STATE_FIELDS
 from puma_sim_core.recording.bag.reader import BagContents, mcap_file, read_bag
 from puma_sim_core.recording.bag.recorder import BagRecorder
 
 
-class _State(NamedTuple):
-    step: int
-    time_ns: int
-    position: list[float]
-    velocity: list[float]
-    current: list[float]
-    voltage: list[float]
-    effort: list[float]
-
-
 class Recovered(NamedTuple):
-    """The bag that `recover` wrote.
-
-    ``steps`` is the number of periods from the first state to the last, ``last_time_ns`` the
-    simulated time of the last [ns]. ``was_complete`` says that the original lacked nothing but,
-    perhaps, its ``metadata.yaml``.
-    """
+    """The bag that `recover` wrote."""
 
     path: Path
-    steps: int
-    last_time_ns: int
-    was_complete: bool
+    steps: int  #: periods from the first state to the last
+    last_time_ns: int  #: simulated time of the last state [ns]
+    was_complete: bool  #: the original lacked nothing but, perhaps, its ``metadata.yaml``
 
 
 def recover(path: str | Path, out: str | Path | None = None) -> Recovered:
-    """Read what is there of a bag and write it as a new, closed bag.
+    """Read what is there of a bag and write it as a new, closed bag; the original is not touched.
 
-    Whole periods are kept: joint states, currents and volts of one time. Commands are kept up to
-    the last one that a written state shows. The result is, byte for byte, the bag that an
-    undisturbed recorder would have closed at that state. The original is not touched.
+    Whole periods are kept, and the commands that a written state shows: byte for byte the bag that
+    an undisturbed recorder would have closed at that state.
 
     Parameters
     ----------
@@ -50,22 +37,13 @@ def recover(path: str | Path, out: str | Path | None = None) -> Recovered:
 
     Raises
     ------
-    BagError : nothing can be read, or ``out`` exists or cannot be written; then nothing is
-        left of ``out``.
+    BagError : nothing can be read, or ``out`` exists or cannot be written; nothing is left of it.
     """
     contents = read_bag(path, partial=True)
     target = Path(out) if out is not None else _default_target(Path(path))
-    recorder = BagRecorder(
-        target,
-        namespace=contents.namespace,
-        config_text=contents.config_text,
-        urdf=contents.urdf,
-        joint_names=contents.joint_names,
-        frame_id=contents.frame_id,
-        command_interface=contents.command_interface,
-        # A single state stands at time 0 whatever the period.
-        period_ns=contents.period_ns or 1,
-    )
+    kept = ("namespace", "config_text", "urdf", "joint_names", "frame_id", "command_interface")
+    # a single state stands at time 0 whatever the period
+    recorder = BagRecorder(target, **{n: getattr(contents, n) for n in kept}, period_ns=contents.period_ns or 1)
     try:
         with recorder:
             _write(contents, recorder)
@@ -77,22 +55,12 @@ def recover(path: str | Path, out: str | Path | None = None) -> Recovered:
 
 
 def _write(contents: BagContents, recorder: BagRecorder) -> None:
-    columns = [
-        column.tolist()
-        for column in (
-            contents.steps,
-            contents.time_ns,
-            contents.position,
-            contents.velocity,
-            contents.current,
-            contents.voltage,
-            contents.effort,
-        )
-    ]
-    commands = iter([*contents.commands, (None, None)])
+    names = ("step", "time_ns", *chain(*STATE_FIELDS.values()))
+    columns = [contents.steps, *(getattr(contents, name) for name in names[1:])]
+    commands = iter([*contents.commands, (-1, None)])
     step, command = next(commands)
-    for values in zip(*columns):
-        state = _State(*values)
+    for values in zip(*(column.tolist() for column in columns)):
+        state = SimpleNamespace(**dict(zip(names, values)))
         recorder.write_state(state)
         while step == state.step:
             recorder.write_command(state.time_ns, command)

@@ -28,6 +28,7 @@ _HEAD = struct.Struct("<BQ")  # opcode, length of what follows
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 _CHUNK = struct.Struct("<QQQII")  # first and last time, size, checksum, length of compression
 _FOOTER = struct.Struct("<BQQQI")
+_READ = (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS)
 
 
 class RawMessage(NamedTuple):
@@ -47,13 +48,8 @@ class Scan:
     """Reads the messages of an MCAP file in the order in which they were written.
 
     ``topics`` (name to type) and ``counts`` (name to number of messages) fill up during
-    `messages`. ``complete`` says whether the file ends with its index and footer.
-
-    Parameters
-    ----------
-    expected : number of messages by topic, if known from elsewhere; it is checked at the end.
-
-    Raises `BagError` if the file cannot be opened or is no MCAP file.
+    `messages`; the counts are compared with ``expected`` at the end. ``complete`` says whether the
+    file ends with its index and footer. Raises `BagError` if the file is no MCAP file.
     """
 
     def __init__(self, path: Path, expected: dict[str, int] | None = None):
@@ -76,21 +72,16 @@ class Scan:
             raise BagError("is not an MCAP file", where=path, expected=f"{MAGIC!r} at its start")
 
     def messages(self, partial: bool = False) -> Iterator[RawMessage]:
-        """Messages in file order.
-
-        Where the file cannot be read on, `BagError` names the offset; with ``partial`` the
-        iteration ends there instead and keeps that error in ``fault``.
-        """
+        """Messages in file order. Raises `BagError` where the file cannot be read on; with ``partial``
+        the iteration ends there instead and keeps that error in ``fault``."""
         last = 0
         try:
             with open(self.path, "rb") as file:
                 for message in self._records(file):
                     if not last <= message.time_ns < 2**63:
-                        raise BagError(
-                            f"a message at {message.time_ns} ns stands after one at {last} ns",
-                            where=f"{self.path}, topic {message.topic}",
-                            expected="messages in the order of their times",
-                        )
+                        what = f"a message at {message.time_ns} ns stands after one at {last} ns"
+                        where, expected = f"{self.path}, topic {message.topic}", "messages in the order of their times"
+                        raise BagError(what, where=where, expected=expected)
                     last = message.time_ns
                     yield message
             self._check_counts()
@@ -103,26 +94,25 @@ class Scan:
 
     def _check_counts(self) -> None:
         if self._statistics and self._statistics.message_count != self.counts.total():
-            raise BagError(
-                f"holds {self.counts.total()} messages",
-                where=self.path,
-                expected=f"the {self._statistics.message_count} of its own index",
-            )
+            expected = f"the {self._statistics.message_count} of its own index"
+            raise BagError(f"holds {self.counts.total()} messages", where=self.path, expected=expected)
         if self.expected is None:
             return
         for topic in sorted(self.expected.keys() | self.topics.keys()):
             if self.expected.get(topic) != self.counts[topic]:
-                raise BagError(
-                    f"the file holds {self.counts[topic]} messages",
-                    where=f"{self.path}, topic {topic}",
-                    expected=f"{self.expected.get(topic)}, as metadata.yaml says",
-                )
+                what, where = f"the file holds {self.counts[topic]} messages", f"{self.path}, topic {topic}"
+                raise BagError(what, where=where, expected=f"{self.expected.get(topic)}, as metadata.yaml says")
 
     def _records(self, file: BinaryIO) -> Iterator[RawMessage]:
         offset = file.seek(len(MAGIC))
         try:
             while True:
-                opcode, length = self._head(file, offset)
+                head = file.read(_HEAD.size)
+                if len(head) < _HEAD.size:
+                    raise _Fault("the file ends without a footer")
+                opcode, length = _HEAD.unpack(head)
+                if opcode == 0:
+                    raise _Fault("there is no record, but zeros")
                 if opcode == Opcode.FOOTER:
                     return
                 room = self.size - offset - _HEAD.size
@@ -130,22 +120,11 @@ class Scan:
                     yield from self._chunk(file.read(min(length, room)), length > room)
                 if length > room:
                     raise _Fault(f"the file ends inside a record of {length} bytes")
-                if opcode == Opcode.MESSAGE:
-                    yield self._message(file.read(length))
-                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS):
-                    self._describe(opcode, file.read(length))
+                if opcode in _READ:
+                    yield from self._record(opcode, file.read(length))
                 offset = file.seek(offset + _HEAD.size + length)
         except _Fault as fault:
             raise BagError(str(fault), where=f"{self.path}, offset {offset}", expected="a whole MCAP record") from None
-
-    def _head(self, file: BinaryIO, offset: int) -> tuple[int, int]:
-        head = file.read(_HEAD.size)
-        if len(head) < _HEAD.size:
-            raise _Fault("the file ends without a footer")
-        opcode, length = _HEAD.unpack(head)
-        if opcode == 0:
-            raise _Fault("there is no record, but zeros")
-        return opcode, length
 
     def _chunk(self, body: bytes, cut: bool) -> Iterator[RawMessage]:
         start = _CHUNK.size
@@ -158,9 +137,8 @@ class Scan:
         if not cut:
             try:
                 # The library checks the sum and knows the compressions.
-                records = get_chunk_data_stream(
-                    Chunk(compression.decode(), records, 0, 0, checksum, size), validate_crc=True
-                )[0].read(size)
+                chunk = Chunk(compression.decode(), records, 0, 0, checksum, size)
+                records = get_chunk_data_stream(chunk, validate_crc=True)[0].read(size)
             except Exception as error:  # each decompressor raises its own kinds
                 raise _Fault(f"the chunk is damaged ({error})") from error
         elif compression:
@@ -171,15 +149,17 @@ class Scan:
             offset += _HEAD.size
             if offset + length > len(records):
                 break
-            if opcode == Opcode.MESSAGE:
-                yield self._message(records[offset : offset + length])
-            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._describe(opcode, records[offset : offset + length])
+            if opcode in _READ and opcode != Opcode.STATISTICS:
+                yield from self._record(opcode, records[offset : offset + length])
             offset += length
         if not cut and offset != len(records):
             raise _Fault("the last record of the chunk is longer than the chunk")
 
-    def _describe(self, opcode: int, body: bytes) -> None:
+    def _record(self, opcode: int, body: bytes) -> Iterator[RawMessage]:
+        """Take in a record; gives the message if it is one."""
+        if opcode == Opcode.MESSAGE:
+            yield self._message(body)
+            return
         stream = ReadDataStream(io.BytesIO(body))
         try:
             if opcode == Opcode.SCHEMA:
@@ -188,11 +168,9 @@ class Scan:
             elif opcode == Opcode.CHANNEL:
                 channel = Channel.read(stream)
                 schema = self._schemas.get(channel.schema_id)
-                known = (channel.topic, schema.name if schema else "")
-                if channel.message_encoding != "cdr":
-                    known = (channel.topic, f"{known[1]} as {channel.message_encoding}")
-                self._channels[channel.id] = known
-                self.topics[known[0]] = known[1]
+                form = "" if channel.message_encoding == "cdr" else f" as {channel.message_encoding}"
+                self.topics[channel.topic] = f"{schema.name if schema else ''}{form}"
+                self._channels[channel.id] = (channel.topic, self.topics[channel.topic])
             else:
                 self._statistics = Statistics.read(stream)
         except Exception as error:  # the library raises several kinds on arbitrary bytes
@@ -214,9 +192,8 @@ def _ends_with_footer(file: BinaryIO, size: int) -> bool:
     tail = _FOOTER.size + len(MAGIC)
     if size < len(MAGIC) + tail:
         return False
-    file.seek(size - tail)
-    data = file.read(tail)
+    file.seek(-tail, io.SEEK_END)
+    data = file.read()
     opcode, length, summary_start, _, _ = _FOOTER.unpack_from(data)
-    return (
-        data.endswith(MAGIC) and opcode == Opcode.FOOTER and length == _FOOTER.size - _HEAD.size and summary_start > 0
-    )
+    whole = opcode == Opcode.FOOTER and length == _FOOTER.size - _HEAD.size
+    return data.endswith(MAGIC) and whole and summary_start > 0

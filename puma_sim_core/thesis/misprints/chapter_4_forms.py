@@ -1,148 +1,103 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""Equations 4.9 to 4.47 term by term, each misprint of them a switch.
+"""Forms of D, C and G: equations 4.9 to 4.47 with their misprints, and the coefficients of section 4.5 for any arm.
 
-Every function takes the symbols at a pose and the set of misprints ("slips") to put in; without
-slips it is the corrected equation in the thesis's own order of terms.
+The equations stand in `equations.yaml`. In `terms.yaml` each coefficient is a sum of numbers times the functions of
+the thesis (C2S2, S2S3S23 ...: :data:`puma_sim_core.arm.printed_coefficients.BASES`), so that its numbers can be held
+against those of every parameter set.
 """
 
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache, reduce
+from operator import add
+from pathlib import Path
+from types import CodeType, SimpleNamespace
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from puma_sim_core.arm.arm import ArmParameters
+from puma_sim_core.arm.printed_coefficients import BASES, COEFFICIENTS
+from puma_sim_core.arm.rigid_body import lumped_constants
+from puma_sim_core.errors import ParameterError
+from puma_sim_core.files import read_yaml
+
+EQUATIONS = read_yaml(Path(__file__).with_name("equations.yaml"))
+#: unit of a coefficient by its first letter
+UNITS = {"D": "kg.m^2", "C": "kg.m^2", "G": "N.m"}
+#: the print leaves out the last digits of one coefficient; all others have four decimals
+_DECIMALS = {-0.007: 3, 0.04581: 5}
+_TERMS = read_yaml(Path(__file__).with_name("terms.yaml"))
 
 
-def symbols(q, arm: ArmParameters) -> SimpleNamespace:
+def symbols(q: Sequence[float], arm: ArmParameters) -> SimpleNamespace:
     """The thesis's symbols at a pose: s2, c2, s3, c3, su, cu (u = q2 + q3), m, x, y, z, k."""
-    at = SimpleNamespace(
-        a2=arm.a2,
-        a3=arm.a3,
-        d3=arm.d3,
-        g=arm.gravity,
-        s2=math.sin(q[1]),
-        c2=math.cos(q[1]),
-        s3=math.sin(q[2]),
-        c3=math.cos(q[2]),
-        su=math.sin(q[1] + q[2]),
-        cu=math.cos(q[1] + q[2]),
-        c22=math.cos(2 * q[1]),
-    )
+    at = SimpleNamespace(a2=arm.a2, a3=arm.a3, d3=arm.d3, g=arm.gravity, c22=math.cos(2 * q[1]))
+    for name, angle in (("2", q[1]), ("3", q[2]), ("u", q[1] + q[2])):
+        setattr(at, f"s{name}", math.sin(angle))
+        setattr(at, f"c{name}", math.cos(angle))
     for i, link in enumerate(arm.links, start=1):
         setattr(at, f"m{i}", link.mass)
-        for axis, value in zip("xyz", link.centre):
-            setattr(at, f"{axis}{i}", value)
-        for axis, value in zip("xyz", link.gyration_squared):
-            setattr(at, f"k{i}{axis}{axis}", value)
+        for axis, place, gyration in zip("xyz", link.centre, link.gyration_squared):
+            setattr(at, f"{axis}{i}", place)
+            setattr(at, f"k{i}{axis}{axis}", gyration)
     return at
 
 
-def d11(s, slips=()):
-    """Equation 4.9."""
-    k1 = s.k1zz if "k1zz" in slips else s.k1yy
-    side = s.d3 if "d3" in slips else s.d3**2
-    product = 0.0 if "no y2" in slips else -2 * s.a2 * s.y2 * s.s2 * s.c2
-    return (
-        s.m1 * k1
-        + s.m2 * (s.k2xx * s.s2**2 + s.k2yy * s.c2**2 + s.a2**2 * s.c2**2 + 2 * s.a2 * s.x2 * s.c2**2 + product)
-        + s.m3
-        * (
-            s.k3xx * s.su**2
-            + s.k3zz * s.cu**2
-            + side
-            + s.a2**2 * s.c2**2
-            + s.a3**2 * s.cu**2
-            + 2 * s.a2 * s.a3 * s.c2 * s.cu
-            + 2 * s.x3 * (s.a2 * s.c2 * s.cu + s.a3 * s.cu**2)
-            + 2 * s.y3 * s.d3
-            + 2 * s.z3 * (s.a3 * s.cu * s.su + s.a2 * s.c2 * s.su)
-        )
-    )
+@cache
+def _formula(name: str, slips: frozenset[str]) -> CodeType:
+    text = EQUATIONS[name]["correct"]
+    for slip in sorted(slips):
+        correct, printed = EQUATIONS[name]["slips"][slip]
+        if text.count(correct) != 1:
+            raise ParameterError(f"{text.count(correct)} times {correct!r}", where=f"{name}, {slip}", expected="one")
+        text = text.replace(correct, printed)
+    return compile(text, f"equation of {name}", "eval")
 
 
-def d22(s, slips=()):
-    """Equation 4.13."""
-    upper = s.a2 if "a2" in slips else s.a2**2
-    fore = s.a3 if "a3" in slips else s.a3**2
-    k3 = s.k3zz if "k3zz" in slips else s.k3yy
-    return s.m2 * (s.k2zz + upper + 2 * s.a2 * s.x2) + s.m3 * (
-        (2 * s.a2 * s.a3 + 2 * s.a2 * s.x3) * s.c3 + 2 * s.a2 * s.z3 * s.s3 + k3 + s.a2**2 + fore + 2 * s.a3 * s.x3
-    )
+def evaluate(name: str, s: SimpleNamespace, slips: Iterable[str] = ()) -> float:
+    """An equation at these symbols, with the misprints that `slips` names."""
+    return eval(_formula(name, frozenset(slips)), {}, vars(s))
 
 
-def d23(s, slips=()):
-    """Equation 4.14."""
-    k3 = s.k3zz if "k3zz" in slips else s.k3yy
-    return s.m3 * ((s.a2 * s.x3 + s.a2 * s.a3) * s.c3 + s.a2 * s.z3 * s.s3 + 2 * s.a3 * s.x3 + s.a3**2 + k3)
+def coefficient_terms(arm: ArmParameters) -> dict[str, dict[str, float]]:
+    """Numbers by coefficient and function [kg.m^2; G: N.m]; motor inertias are in D11, D22, D33.
+
+    Products of inertia (B4) add terms that the thesis does not have: D12 and C122 then have one more.
+    """
+    constants = lumped_constants(arm)._asdict()
+    return {
+        name: {
+            basis: reduce(add, (factor * constants[constant] for constant, factor in factors.items()))
+            for basis, factors in terms.items()
+            if "B4" not in factors or constants["B4"]
+        }
+        for name, terms in _TERMS.items()
+    }
 
 
-def d33(s, slips=()):
-    """Equation 4.17."""
-    k3 = s.k3zz if "k3zz" in slips else s.k3yy
-    return s.m3 * (k3 + s.a3**2 + 2 * s.a3 * s.x3)
+def value(terms: Mapping[str, float], q: ArrayLike) -> np.ndarray:
+    """Sum of one coefficient's terms at the angles q (..., 3) [rad]."""
+    q2, q3 = np.moveaxis(np.asarray(q, dtype=float), -1, 0)[1:]
+    sines = np.sin(q2), np.cos(q2), np.sin(q3), np.cos(q3), np.sin(q2 + q3), np.cos(q2 + q3)
+    return sum(number * BASES[basis](*sines) for basis, number in terms.items()) + 0.0 * q2
 
 
-def c112(s, slips=()):
-    """Equation 4.19."""
-    square2 = s.a2 if "a2" in slips else s.a2**2
-    first = s.s2 * s.c3 if "S2C3" in slips else s.c3 * s.s3
-    k3z = s.k3xx if "no k3zz" in slips else s.k3zz
-    sine = s.su if "a2a3S23" in slips else s.s3
-    square3 = s.a3 if "2a3" in slips else s.a3**2
-    last = s.c2 * s.s3 if "C2S3" in slips else s.c3 * s.s3
-    triple = s.s2 * s.s3 * s.su
-    return s.m2 * ((s.k2xx - s.k2yy - square2 - 2 * s.a2 * s.x2) * s.c2 * s.s2 - s.a2 * s.y2 * s.c22) + s.m3 * (
-        s.k3xx * (s.c2 * s.s2 + first - 2 * triple)
-        + k3z * (2 * triple - s.c2 * s.s2 - s.c3 * s.s3)
-        + s.x3
-        * (-2 * s.a2 * s.c2 * s.su + 4 * s.a3 * triple + s.a2 * s.s3 - 2 * s.a3 * s.c2 * s.s2 - 2 * s.a3 * s.c3 * s.s3)
-        + s.z3 * (s.a2 * s.c2 * s.cu - s.a2 * s.s2 * s.su + 2 * s.a3 * s.cu**2 - s.a3)
-        + s.a2 * s.a3 * sine
-        - 2 * s.a2 * s.a3 * s.c2 * s.su
-        - s.a2**2 * s.c2 * s.s2
-        + 2 * square3 * triple
-        - s.a3**2 * (s.c2 * s.s2 + last)
-    )
+def printed_terms() -> list[tuple[str, str, float, float]]:
+    """(coefficient, function, printed number, half a unit of its last digit) of section 4.5.
+
+    A function that the print lacks stands with 0 and the accuracy of four decimals.
+    """
+    return [
+        (name, term.basis, term.printed, 0.5 * 10.0 ** -_DECIMALS.get(term.printed, 4))
+        for name, terms in COEFFICIENTS.items()
+        for term in terms
+    ]
 
 
-def c113(s, slips=()):
-    """Equation 4.20."""
-    k3 = s.k3yy if "k3yy" in slips else s.k3zz
-    square3 = s.a3 if "2a3" in slips else s.a3**2
-    triple = s.s2 * s.s3 * s.su
-    return s.m3 * (
-        s.k3xx * (s.c2 * s.s2 + s.c3 * s.s3 - 2 * triple)
-        + k3 * (2 * triple - s.c2 * s.s2 - s.s3 * s.c3)
-        + s.x3 * (4 * s.a3 * triple - 2 * s.a3 * s.c2 * s.s2 - 2 * s.a3 * s.c3 * s.s3 - s.a2 * s.c2 * s.su)
-        + s.z3 * (2 * s.a3 * s.cu**2 + s.a2 * s.c2 * s.cu - s.a3)
-        + 2 * square3 * triple
-        - s.a2 * s.a3 * s.c2 * s.su
-        - s.a3**2 * s.c2 * s.s2
-        - s.a3**2 * s.c3 * s.s3
-    )
-
-
-def c122(s, slips=()):
-    """Equation 4.22."""
-    side = 0.0 if "no y3 + d3" in slips else s.m3 * s.a2 * (s.y3 + s.d3) * s.c2
-    return s.m2 * s.a2 * s.z2 * s.c2 + side + c123(s)
-
-
-def c123(s, slips=()):
-    """Equation 4.23."""
-    return s.m3 * (s.d3 * s.z3 * s.su + (s.d3 * s.x3 + s.a3 * s.y3 + s.a3 * s.d3) * s.cu)
-
-
-def c223(s, slips=()):
-    """Equation 4.32."""
-    sine = s.s2 if "S2" in slips else s.s3
-    return s.m3 * ((-s.a2 * s.x3 - s.a2 * s.a3) * sine + s.a2 * s.z3 * s.c3)
-
-
-def g2(s, slips=()):
-    """Equation 4.46."""
-    y = s.y3 if "y3" in slips else s.y2
-    return -s.m2 * s.g * ((s.x2 + s.a2) * s.c2 - y * s.s2) - s.m3 * s.g * (
-        s.x3 * s.cu + s.z3 * s.su + s.a3 * s.cu + s.a2 * s.c2
-    )
+def is_misprint(name: str, basis: str) -> bool:
+    """Whether the print of this term cannot come from any parameters, whatever they are."""
+    return any(term.basis == basis and term.printed != term.corrected for term in COEFFICIENTS[name])

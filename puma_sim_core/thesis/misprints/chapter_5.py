@@ -1,255 +1,108 @@
 # SPDX-License-Identifier: Apache-2.0
 # Copyright the puma-sim contributors
-"""Misprints of chapter 5: motors and the third-order equations."""
+"""Proofs of the misprints of chapter 5: motors and the third-order equations."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from puma_sim_core.arm.rigid_body import coriolis, gravity_torque, inertia
-from puma_sim_core.arm.third_order import acceleration_from_current, current_rate, joint_torque_per_ampere
-from puma_sim_core.thesis.misprints.evidence import Erratum, Evidence
-from puma_sim_core.thesis.misprints.reference import ACCELERATIONS, JERKS, POSES, RATES, VISCOUS, gravity, nominal
-
-_STEP = 1e-40
+from puma_sim_core.arm.third_order import acceleration_from_current, current_rate, joint_torque_per_ampere, matrices
+from puma_sim_core.thesis.misprints import reference
+from puma_sim_core.thesis.misprints.evidence import read_errata
+from puma_sim_core.thesis.misprints.reference import POSES, RATES, VISCOUS, along, nominal, over
 
 
 def motors():
     """R, L, ke N and kT of the three motors; each (3,)."""
-    arm = nominal()
-    values = [(m.resistance, m.inductance, m.back_emf * m.gear_ratio) for m in arm.motors]
-    return (*np.array(values).T, joint_torque_per_ampere(arm))
+    values = [(m.resistance, m.inductance, m.back_emf * m.gear_ratio) for m in nominal().motors]
+    return (*np.array(values).T, joint_torque_per_ampere(nominal()))
 
 
 def states():
     """(q, qd, qdd, qddd) at which forms are compared."""
-    return list(zip(POSES, RATES, ACCELERATIONS, JERKS))
+    return list(zip(POSES, RATES, reference.ACCELERATIONS, reference.JERKS))
 
 
-def joint_torque(q, qd, qdd):
+def joint_torque(q, qd, qdd, _=None):
     """F (3,) [N.m] of equation 5.4 with viscous friction; real or complex."""
-    arm = nominal()
-    return (
-        (inertia(q, arm) + np.diag(arm.motor_inertia)) @ qdd
-        + np.einsum("ijk,j,k->i", coriolis(q, arm), qd, qd)
-        + VISCOUS * qd
-        + gravity_torque(q, arm)
-    )
+    mass, against = inertia(q, nominal()) + np.diag(nominal().motor_inertia), gravity_torque(q, nominal())
+    return mass @ qdd + np.einsum("ijk,j,k->i", coriolis(q, nominal()), qd, qd) + VISCOUS * qd + against
 
 
 def torque_rate(q, qd, qdd, qddd):
     """dF/dt (3,) [N.m/s], by a complex step along the motion."""
-    ahead = 1j * _STEP
-    return joint_torque(q + ahead * qd, qd + ahead * qdd, qdd + ahead * qddd).imag / _STEP
-
-
-def rate(function, q, qd):
-    """df(q)/dt by a complex step along the motion."""
-    return function(q + 1j * _STEP * qd, nominal()).imag / _STEP
+    return along(joint_torque, (q, qd), (qd, qdd), (qdd, qddd))
 
 
 def motor_voltage(q, qd, qdd, qddd):
     """Voltage (3,) [V] that equation 5.1 needs for a motion."""
     resistance, inductance, emf, torque = motors()
-    return (
-        resistance / torque * joint_torque(q, qd, qdd) + inductance / torque * torque_rate(q, qd, qdd, qddd) + emf * qd
-    )
+    return (resistance * joint_torque(q, qd, qdd) + inductance * torque_rate(q, qd, qdd, qddd)) / torque + emf * qd
 
 
 def jerk_of_currents(q, qd, current, v):
     """Third derivative (3,) [rad/s^3] along the flow of the states (q, qd, i)."""
-    arm = nominal()
-    qdd = acceleration_from_current(q, qd, current, arm, VISCOUS)
-    ahead = 1j * _STEP
-    return (
-        acceleration_from_current(
-            q + ahead * qd, qd + ahead * qdd, current + ahead * current_rate(qd, current, v, arm), arm, VISCOUS
-        ).imag
-        / _STEP
-    )
+
+    def acceleration(q, qd, current):
+        return acceleration_from_current(q, qd, current, nominal(), VISCOUS)
+
+    rates = qd, acceleration(q, qd, current), current_rate(qd, current, v, nominal())
+    return along(acceleration, *zip((q, qd, current), rates))
 
 
-def equation_5_7(q, qd, qdd, qddd, slips=()):
-    """Voltage (3,) [V] by equation 5.7, with its misprints as switches."""
-    arm = nominal()
-    resistance, inductance, emf, torque = motors()
-    r_k, l_k = resistance / torque, inductance / torque
-    d, c, g = inertia(q, arm), coriolis(q, arm), gravity_torque(q, arm)
-    added = arm.motor_inertia
-    mixed = np.einsum("ijk,j,k->i", c, qdd, qd)
-    times = 3.0 if "three times" in slips else 2.0
-    friction = r_k * VISCOUS * qd if "friction twice" in slips else l_k * VISCOUS * qdd
-    return (
-        l_k * (d @ qddd + added * qddd + times * mixed)
-        + r_k * (d @ qdd + added * qdd + VISCOUS * qd)
-        + l_k * (rate(inertia, q, qd) @ qdd)
-        + l_k * np.einsum("ijk,j,k->i", rate(coriolis, q, qd), qd, qd)
-        + r_k * np.einsum("ijk,j,k->i", c, qd, qd)
-        + emf * qd
-        + friction
-        + l_k * rate(gravity_torque, q, qd)
-        + r_k * g
-    )
+def prove_equation_5_7(slip):
+    resistance, inductance, _, torque = motors()
+
+    def voltage(q, qd, qdd, qddd, slip=None):
+        m = matrices(q, qd, nominal(), VISCOUS)
+        count = 1.5 if slip == "three times" else 1.0
+        v = m.Dbar @ qddd + (count * m.FMAT + m.BMAT + m.GMAT + m.HMAT) @ qdd + (m.JKMAT + m.KMAT) @ qd + m.LMAT
+        return v + (slip == "friction twice") * VISCOUS * (resistance * qd - inductance * qdd) / torque
+
+    return over(states(), motor_voltage, voltage, lambda *state: voltage(*state, slip))
 
 
-def _equation_5_7(slip):
-    def evidence():
-        return Evidence(
-            "motor voltage",
-            "V",
-            "circuit 5.1 with dF/dt by the complex step",
-            np.array([motor_voltage(*s) for s in states()]),
-            np.array([equation_5_7(*s) for s in states()]),
-            np.array([equation_5_7(*s, slips=(slip,)) for s in states()]),
-            1e-9,
-        )
-
-    return evidence
-
-
-def _gear_ratio():
+def prove_gear_ratio():
     resistance, _, emf, torque = motors()
-    constants = np.array([motor.torque_constant for motor in nominal().motors])
-    stretched = np.array([0.0, 0.0, np.pi / 2])
-    load = abs(gravity(stretched)[1])
-    holding = [float((resistance / k * load)[1]) for k in (emf, torque, constants)]
-    return Evidence(
-        f"voltage that holds joint 2 of the stretched arm, {load:.2f} N.m",
-        "V",
-        "power: what the back-emf takes is what the joint gets (ke N)",
-        *holding,
-        0.02,
-    )
+    load = abs(reference.gravity(np.array([0.0, 0.0, np.pi / 2]))[1])
+    constants = emf, torque, np.array([motor.torque_constant for motor in nominal().motors])
+    return ((resistance / constant * load)[1] for constant in constants)
 
 
-def _torque_unit():
+def prove_unit_of_torque(gravity):
     motor = nominal().motors[0]
-    return Evidence(
-        "torque constant in N.m/A",
-        "N.m/A",
-        "power: in SI units the back-emf constant is the torque constant",
-        motor.back_emf,
-        motor.torque_constant,
-        9.80665 * motor.torque_constant,
-        0.002,
-    )
+    return motor.back_emf, motor.torque_constant, gravity * motor.torque_constant
 
 
-def _derivative_sign():
-    return Evidence(
-        "left side of equation 5.4",
-        "N.m",
-        "torque of the bodies and friction",
-        np.array([joint_torque(q, qd, qdd) for q, qd, qdd, _ in states()]),
-        np.array([_from_voltage(*s) for s in states()]),
-        np.array([torque_rate(*s) for s in states()]),
-        1e-9,
-    )
-
-
-def _from_voltage(q, qd, qdd, qddd):
-    """Torque N kt i with the current that circuit 5.1 leaves for the motion."""
+def prove_left_side():
     resistance, inductance, emf, torque = motors()
-    v = motor_voltage(q, qd, qdd, qddd)
-    di = torque_rate(q, qd, qdd, qddd) / torque
-    return torque * (v - inductance * di - emf * qd) / resistance
+
+    def from_voltage(q, qd, qdd, qddd):
+        drop = inductance / torque * torque_rate(q, qd, qdd, qddd)
+        return torque * (motor_voltage(q, qd, qdd, qddd) - drop - emf * qd) / resistance
+
+    return over(states(), joint_torque, from_voltage, torque_rate)
 
 
-def _friction_name():
-    """Torque of the formula H qd at two speeds; Coulomb friction would not grow."""
-
-    def formula(speed):
-        return VISCOUS * speed
-
-    coulomb = np.sign(2.0) / np.sign(1.0)
-    ratio = float(np.mean(formula(2.0) / formula(1.0)))
-    return Evidence(
-        "friction at twice the speed, relative", "", "the thesis's formula H qd", ratio, 2.0, float(coulomb), 1e-12
-    )
+def prove_friction_at_twice_the_speed(correct, printed):
+    return np.mean(VISCOUS * 2.0 / VISCOUS), correct, printed
 
 
-def _shape_of_g():
-    """Shape of dx'/dv, by a complex step in each voltage."""
-    arm = nominal()
-    q, qd, _, _ = states()[0]
-    columns = []
-    for k in range(3):
-        v = np.zeros(3, dtype=complex)
-        v[k] = 1j * _STEP
-        # the state (q, qd, qdd) moves with the voltage through di/dt alone
-        third = acceleration_from_current(q, qd, current_rate(qd, np.zeros(3), v, arm), arm)
-        columns.append(np.concatenate([np.zeros(6), np.imag(third) / _STEP]))
-    rows, width = np.array(columns).T.shape
-    return Evidence(
-        "shape of g(x)", "", "derivative of the nine rates to the three voltages", f"{rows} x {width}", "9 x 3", "3 x 9"
-    )
+def prove_shape_of_g(correct, printed):
+    def rates(v):
+        # of x = (q, qd, qdd) the voltage moves the last alone, through di/dt
+        rate = current_rate(RATES[0], np.zeros(3), v, nominal())
+        return np.concatenate([np.zeros(6), acceleration_from_current(POSES[0], RATES[0], rate, nominal())])
+
+    slopes = np.column_stack([along(rates, (np.zeros(3), unit)) for unit in np.eye(3)])
+    return " x ".join(map(str, slopes.shape)), correct, printed
 
 
-def _ninth_state():
-    rng = np.random.default_rng(9)
-    q, qd, qdd = rng.normal(size=(3, 40, 3))
-    full = np.hstack([q, qd, qdd])
-    printed = np.hstack([q, qd, qdd[:, :2], qd[:, 2:]])
-
-    def rank(states_):
-        return int(np.linalg.matrix_rank(states_))
-
-    return Evidence(
-        "independent numbers in the state x1 to x9",
-        "",
-        "order of three joints with motors: three each",
-        9,
-        rank(full),
-        rank(printed),
-    )
+def prove_ninth_state(reference):
+    q, qd, qdd = np.random.default_rng(9).normal(size=(3, 40, 3))
+    correct, printed = np.hstack([q, qd, qdd]), np.hstack([q, qd, qdd[:, :2], qd[:, 2:]])
+    return reference, *map(int, np.linalg.matrix_rank([correct, printed]))
 
 
-def _motor_angle():
-    return Evidence(
-        "what w stands for", "", "legend of figure 5.1", "motor position", "motor position", "joint position"
-    )
-
-
-ROWS = (
-    Erratum(
-        "5.1 unit",
-        "section 5.1, unit of the torque constant",
-        "0.2611 kg.m/amp",
-        "0.2611 N.m/A",
-        _torque_unit,
-        "ke = 0.26 V.s/rad and kt must agree in SI units.",
-    ),
-    Erratum(
-        "5.2 gear",
-        "equation 5.2",
-        "F = kt i",
-        "F = N kt i at the joint",
-        _gear_ratio,
-        "Only with the printed form, or with open circuits, does the arm fall as in plot 7.3.",
-    ),
-    Erratum(
-        "5.3 w",
-        "section 5.1, before equation 5.3",
-        "the joint position is w",
-        "the motor position is w = N q",
-        _motor_angle,
-    ),
-    Erratum(
-        "5.2 Coulomb",
-        "sections 5.2 and 7.3, friction",
-        "modelled as Coulomb friction",
-        "viscous friction, H qd",
-        _friction_name,
-    ),
-    Erratum("5.4 dot", "equation 5.4, left side", "dF_i/dt", "F_i", _derivative_sign),
-    Erratum("5.7 count", "equation 5.7, the term C qdd qd", "2 + 1 times", "2 times", _equation_5_7("three times")),
-    Erratum(
-        "5.7 friction",
-        "equation 5.7, friction",
-        "(R/kT) H qd twice",
-        "(R/kT) H qd and (L/kT) H qdd",
-        _equation_5_7("friction twice"),
-    ),
-    Erratum("5.8 x9", "section 5.3, state x9", "qd3", "qdd3", _ninth_state, "A dot that print or scan lost."),
-    Erratum("5.8 shape", "section 5.3, g(x)", "in R^(3 x 9)", "in R^(9 x 3)", _shape_of_g),
-)
+ROWS = read_errata("errata_chapter_5.yaml", globals())

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""Hypotheses of a library, the signals that their candidates read, and the columns of these."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from puma_sim_core.effects import Kind
+from puma_sim_core.effects.screening import Candidate, Signals
+from puma_sim_core.identify.arrays import Floats
+from puma_sim_core.identify.data.sampling import Trajectory
+from puma_sim_core.plant.mechanism import Mechanism
+
+
+def signals_of(
+    mechanism: Mechanism,
+    theta: Floats,
+    motion: Trajectory,
+    velocity_noise: Floats,
+    quantum: Floats,
+    *,
+    coupled: bool = True,
+) -> Signals:
+    """What candidates read along a motion. coupled : with what effects of transmissions and sensors read too."""
+    q, qd, qdd = motion.position, motion.velocity, motion.acceleration
+    drive = mechanism.drive(theta)
+    link = mechanism.torque(theta, q, qd, qdd)
+    torque = link + drive.motor_inertia * qdd + drive.viscous * qd
+    inertia = mechanism.inertia_matrix(theta, q)
+
+    def payload_torque(z: float) -> Floats:
+        found = mechanism.payload_torque(theta, z, q, qd, qdd)
+        assert found is not None
+        return found
+
+    return Signals(
+        time=motion.time,
+        step=motion.step,
+        segment=motion.segment,
+        voltage=motion.voltage,
+        position=q,
+        velocity=qd,
+        acceleration=qdd,
+        link_torque=link,
+        gravity_torque=mechanism.gravity(theta, q),
+        torque=torque,
+        current=torque * drive.volts_per_torque / drive.resistance,
+        enable=motion.enable,
+        link_inertia=np.diagonal(inertia, axis1=1, axis2=2),
+        motor_inertia=drive.motor_inertia,
+        viscous=drive.viscous,
+        volts_per_torque=drive.volts_per_torque,
+        lag=drive.lag,
+        emf=drive.emf,
+        gear=np.asarray(mechanism.gear, dtype=float),
+        torque_scale=np.asarray(mechanism.torque_scale, dtype=float),
+        velocity_noise=velocity_noise,
+        quantum=quantum,
+        ranges=tuple(mechanism.ranges),
+        gravity_tilt=mechanism.gravity_tilt(theta, q),
+        payload_torque=payload_torque,
+        inertia=inertia if coupled else None,
+        position_gradient=mechanism.position_gradient(theta, q, qd, qdd) if coupled else None,
+    )
+
+
+def hypotheses(library: Iterable[Kind], joints: int) -> Iterator[tuple[Kind, int | None]]:
+    """(effect, joint) of each hypothesis: joint 1-based, None for the whole arm."""
+    for kind in library:
+        for joint in range(1, joints + 1) if kind.per_joint else (None,):
+            yield kind, joint
+
+
+def candidates(kind: Kind, joint: int | None, signals: Signals) -> list[Candidate]:
+    """The candidates of a hypothesis; joint 1-based, None for the whole arm."""
+    assert kind.screening is not None
+    return kind.screening.candidates(signals, None if joint is None else joint - 1)
+
+
+def by_joint(candidate: Candidate, rows: int) -> dict[int, Floats]:
+    """Joint (0-based) -> (n, p) columns of a candidate, 0 where a coefficient does not act on it."""
+    out = {j: np.zeros((rows, len(candidate.mean))) for j in sorted({j for c in candidate.columns for j in c})}
+    for n, column in enumerate(candidate.columns):
+        for j, values in column.items():
+            out[j][:, n] = values
+    return out

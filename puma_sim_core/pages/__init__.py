@@ -1,0 +1,3 @@
+# SPDX-License-Identifier: Apache-2.0
+# Copyright the puma-sim contributors
+"""What the HTML pages share: figures as SVG, numbers as text, templates with one style sheet."""
