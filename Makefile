@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 # `make run`, `make loop` and `make test` do all of their set-up in $(VENV); `make help` lists all.
 
 SHELL := /bin/bash

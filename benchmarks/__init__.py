@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """How fast the simulator is beside others: ``python -m benchmarks``, or ``make bench``.
 
 All rows do one task (`task`): 10 s of the three-joint arm with its motors. They are measured in

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Speed of this checkout over that of another revision, measured in one run.
 
   python benchmarks/against.py REVISION [--rounds N] [--kernels numba,python]

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The same equations as a C program would have them, compiled here and now with ``cc -O3``.
 
 The equations were written for this file from the 20 constants of `rigid_body.Lumps` by

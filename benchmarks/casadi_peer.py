@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """CasADi: our own expressions as its graph, RK4 step and all steps of the run, as generated C."""
 
 from __future__ import annotations

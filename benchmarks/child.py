@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The process behind `own.PlainPython`: one run of the task for each line of standard input."""
 
 from __future__ import annotations

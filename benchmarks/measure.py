@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Measuring rows in turn, round after round.
 
 A machine that is shared is slow for a while, then fast again. So each round calls every row, the

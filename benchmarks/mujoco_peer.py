@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """MuJoCo with the same arm: same inertias, same motors, its RK4 at the same step.
 
 The actuator is MuJoCo's own ``dcmotor`` (since 3.7), whose activation is the armature current.

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Our own rows: compiled, plain Python, with effects, in batches; and the time of the import."""
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Pinocchio: its articulated-body algorithm called from Python, RK4 and motors around it."""
 
 from __future__ import annotations

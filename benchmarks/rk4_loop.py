@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """RK4 and the motors in NumPy, around a library's forward dynamics.
 
 For the peers that give accelerations but do not simulate a motor: what their user would write.

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Robotics Toolbox for Python: its forward dynamics in an RK4 loop, and its own integrator."""
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Sphinx configuration; `make docs` builds the pages, and warnings are errors."""
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Draw ``docs/report.png``: explain the sample log with a hidden effect, photograph the report.
 
 ``python docs/report_picture.py`` needs Chromium.

@@ -1,6 +1,5 @@
 #!/usr/bin/env bash
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 # From the command line: what the model lacks by a log, then the errors of the augmented model.
 set -euo pipefail
 cd "$(dirname "$0")"

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Make the sample logs of this folder: ``python examples/make_logs.py [FOLDER]``.
 
 Each log comes from a simulated machine whose parameters differ from the published ones, as those of

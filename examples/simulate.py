@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """From Python: the arm under PID control with and without friction. ``python simulate.py``"""
 
 from __future__ import annotations

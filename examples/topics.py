@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Over ROS 2 topics: a proportional controller that holds a pose. Start it beside `sim_node`.
 
 It answers each of the first 50 states with three motor voltages, prints the last position and ends.

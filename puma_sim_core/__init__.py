@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The PUMA 560's first three joints with their motors, simulated; no ROS in this package.
 
 The names of `__all__` are the public interface; `__init__.pyi` lists them. Each is imported when it is first used, so
@@ -10,8 +9,6 @@ that importing the package costs neither NumPy nor a compiler::
     plant = ps.Plant.of("bejczy", [ps.parse_effect("coulomb_friction:joint=2,torque=12")])
     explanation = ps.explain("log.csv")
 """
-
-from __future__ import annotations
 
 import ast
 from importlib import import_module

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The public names and where they stand; the package imports each at its first use."""
 
 from puma_sim_core.arm.arm import ArmParameters as ArmParameters

@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Checks of what users give: numbers, shapes, choices, and the entries of YAML files."""
-
-from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence

@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Errors that users meet: each names what is wrong, where it stands and what was expected."""
-
-from __future__ import annotations
 
 
 class PumaSimError(ValueError):

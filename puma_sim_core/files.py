@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Files that appear complete or not at all, and YAML with each key once."""
-
-from __future__ import annotations
 
 import os
 import re

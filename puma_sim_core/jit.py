@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Compiling the kernel: by numba where it is installed, plain Python otherwise.
 
 A process uses one of the two throughout. The environment variable ``PUMA_SIM_KERNEL`` chooses:
@@ -7,8 +6,6 @@ A process uses one of the two throughout. The environment variable ``PUMA_SIM_KE
 bits: numba's fast-math options stay off, so that no product is fused with a sum, and both call
 the same sine, cosine and exponential of the C library.
 """
-
-from __future__ import annotations
 
 import hashlib
 import os

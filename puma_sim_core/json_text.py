@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """JSON that a person can read and a program can compare: the same content, the same bytes."""
-
-from __future__ import annotations
 
 import json
 from typing import Any

@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Where the files of ``config/`` are, in a checkout and in an installed package."""
-
-from __future__ import annotations
 
 from pathlib import Path
 

@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """A bag given back to the topics that it was recorded from, at its own pace or another."""
-
-from __future__ import annotations
 
 import argparse
 import importlib

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """An example of a controller outside the simulator: control in volts, over topics.
 
 It leads the wrist down a straight vertical line, as in section 7.5 of the thesis: setpoints every
@@ -8,8 +7,6 @@ that the simulator has inside. Each state that arrives is answered by one comman
 program works in realtime and in lockstep. To try another law, copy this file and give
 `connect` another object with `reset()` and `update(t, setpoint, measurement) -> volts`.
 """
-
-from __future__ import annotations
 
 import sys
 import time

@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Between the session's tuples and ROS messages."""
-
-from __future__ import annotations
 
 from array import array
 from collections.abc import Mapping, Sequence

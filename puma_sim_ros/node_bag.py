@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The bags of one run of the node: the first, and one more from each reset on."""
-
-from __future__ import annotations
 
 import itertools
 from pathlib import Path

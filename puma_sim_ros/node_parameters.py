@@ -1,12 +1,9 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The parameters of `sim_node` (parameters.yaml): declared with their ranges, turned into a session's configuration.
 
 ROS checks types and the ranges of single numbers. Everything else (arrays, the plant, the length
 of an integration step) is checked where it is defined, by building the configuration from it.
 """
-
-from __future__ import annotations
 
 from collections.abc import Mapping
 from math import inf

@@ -1,13 +1,10 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """When each step is due on the wall clock, and how late it was. No ROS here; the clock is injected.
 
 Simulated time is the number of steps times the period. A timer callback for each step would lose
 steps, since ROS timers drop the periods that they miss; a schedule of deadlines cannot: a step
 that is late is done late, and the next ones follow at once until the schedule is caught up.
 """
-
-from __future__ import annotations
 
 import math
 import time

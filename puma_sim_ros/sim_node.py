@@ -1,12 +1,9 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Entry point of ``sim_node``.
 
 ``--effects FILE``, as often as needed and before ``--ros-args``, registers effects of the user's own; the node, and
 with it the kernel that is built from all registered effects, is imported after that.
 """
-
-from __future__ import annotations
 
 import argparse
 import sys

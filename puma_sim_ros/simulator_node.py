@@ -1,12 +1,9 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The simulator as a ROS 2 node: topics, services and time around a `Session`.
 
 Everything that a command does is the session's business; what is here converts, paces, publishes
 and records. All of it runs in one thread, in the order in which it is written.
 """
-
-from __future__ import annotations
 
 import contextlib
 import gc

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Small sessions for the tests of bags, and a recorder that runs as a process of its own."""
 
 from __future__ import annotations

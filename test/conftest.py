@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """`--share n/m`: of the files with tests that are marked long, every m-th from the n-th on.
 
 Two interpreters that run side by side share these tests out: their numbers are the same on any.

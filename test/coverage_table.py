@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Lines of the core that tests reached, folder by folder: `python test/coverage_table.py` after `make coverage`."""
 
 from __future__ import annotations

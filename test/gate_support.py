@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Honest logs of an arm with wrong parameters and effects, for the tests of the gate.
 
 The loop around the simulator stands here: a controller, an amplifier and an encoder of its own.

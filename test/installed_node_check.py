@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Check of a colcon build: the installed node in lockstep with the installed controller.
 
 Run it in a shell that has sourced the workspace's ``install/setup.bash``. It takes the programs

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Logs of known plants of any mechanism, and the pieces of the loop that are made of them."""
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Made-up explanations of each verdict, for the tests of what is written from them.
 
 The record is the arm under slow sines, with Coulomb friction of 10 N.m on joint 2 that the model

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Mechanisms of one joint, and motions as the screening reads them, that several tests make."""
 
 from __future__ import annotations

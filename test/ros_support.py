@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """A `sim_node` in a process of its own, and a peer in this one that talks to it over DDS."""
 
 from __future__ import annotations

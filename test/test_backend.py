@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The compiled and the interpreted kernel give the same bits; the cache is never in the way."""
 
 from __future__ import annotations

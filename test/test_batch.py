@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Batches: the same runs as one by one, whatever the grouping and the number of workers."""
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The bench: all rows move the same arm, and the table says what was measured. Nothing is timed."""
 
 from __future__ import annotations

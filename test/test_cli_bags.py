@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """`puma-sim replay` and `puma-sim recover`: what they print, how they end, what they leave."""
 
 from __future__ import annotations

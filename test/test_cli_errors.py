@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Bad input of `puma-sim`: one line says what, where and what was expected; nothing is written."""
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """`puma-sim explain`: what it passes on, writes and refuses; the analysis has tests of its own."""
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """`puma-sim identify-controller`: what it prints of logs, and which logs it refuses."""
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Measured logs in open loop: where windows start, from which state, and what the errors say.
 
 The logs here are runs of the simulator, so that their true velocities and currents are known.

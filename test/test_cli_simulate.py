@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """`puma-sim simulate`: the rows that come out are the motion of the arm under the rows that go in.
 
 The independent integration is DOP853 on the matrix form of the equations, row by row, since the

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Computed torque and velocity loops: inverse dynamics, decoupling, limits, what they bear."""
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Stick: what dry friction holds stays where it is, and lets go at the right load and time."""
 
 from __future__ import annotations

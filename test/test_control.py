@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Controllers and setpoints: the PID law in all its forms, the servo's chain, straight lines."""
 
 from __future__ import annotations

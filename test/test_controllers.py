@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Controllers as objects: one interface, the compiled servo's bits, schedules, settings."""
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The commands and programs of README and docs/ run, in order, with what examples/ ships.
 
 Before each block of bash or Python stands a comment: `run`, `run long`, or `not run: REASON`.

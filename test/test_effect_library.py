@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The library of effects in motion: each against an oracle that shares no code with the kernel.
 
 Loads, drag and time against an integration by SciPy of the equations with matrices; a leaning base

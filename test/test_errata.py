@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Every misprint of the thesis is proved: the corrected form holds, the printed one does not.
 
 The references of the rows are derived apart from the forms; the mechanics behind most of them is

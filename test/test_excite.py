@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The next experiment: excitations keep to limits, tell effects apart, and say when none can."""
 
 from __future__ import annotations

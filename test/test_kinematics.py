@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Kinematics of six links: poses known by geometry, and derivatives against the complex step."""
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The laws as the step calls them equal the laws of the effects' own files, combined as their point says."""
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Friction that grows with the torque that a gear transmits, against integrations by SciPy.
 
 The oracle is one joint with its own events: it slides in a direction until it stops, and stands

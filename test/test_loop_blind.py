@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """`explain` on records of another engine, with effects that it is not told of.
 
 The answers are read by the assertions alone, after the record was explained.

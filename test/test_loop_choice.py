@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Rules of the selection: what is retracted, what counts as a tie, what an effect needs to be named."""
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Fits of prediction errors come to places that have no zero: where a stop begins, when a blow
 fell, how many waves a gear has a turn."""
 

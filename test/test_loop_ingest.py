@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Logs are read as they stand, from anyone's CSV and from bags, or refused by line and column."""
 
 from __future__ import annotations

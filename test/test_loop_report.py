@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """What is written from an explanation: JSON that keeps its schema, a page that stands alone."""
 
 from __future__ import annotations

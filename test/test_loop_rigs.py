@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Two measured rigs through the public `explain`, from files and without a word about either.
 
 The geared pendulum of Rhoban/bam (Duclusaud, Passault and others, arXiv 2410.08650) and the

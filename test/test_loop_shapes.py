@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """What no effect explains, told by its joint and its axis, on logs of the arm that got volts of
 which the log knows nothing."""
 

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The statistics of the loop against independent forms: filters, noise, evidence, innovations."""
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Open-loop windows of logs of any mechanism, what is kept back, and their floor."""
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The schedule of the steps: nothing lost, nothing early, whatever the clock does."""
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """What all pages share: figures that are the same on every run and small, and text with raised powers."""
 
 from __future__ import annotations

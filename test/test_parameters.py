@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Parameter sets: what they hold, that files keep every digit, and that bad ones are named."""
 
 from __future__ import annotations

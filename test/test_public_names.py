@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """`import puma_sim_core as ps` gives the public names, and imports nothing heavy before one is used."""
 
 from __future__ import annotations

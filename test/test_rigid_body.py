@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """D, C and G: the closed form against the trace form, against MuJoCo, and against its properties.
 
 Tolerances are rounding with a margin: entries are of the order of 10 kg.m^2 and 60 N.m.

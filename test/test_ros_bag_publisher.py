@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """A bag given back to topics: what was recorded, to a viewer or to a simulator."""
 
 from __future__ import annotations

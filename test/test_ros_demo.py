@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The demonstration runs from nothing to a picture, and leaves what it finds alone."""
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """What cannot be used stops the node before anything moves; what goes wrong later pauses it."""
 
 from __future__ import annotations

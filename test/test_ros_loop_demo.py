@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The loop over ROS: a session with a hidden effect, explained; the node runs the result."""
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Realtime: simulated time keeps up with the clock, commands act at once, bags survive the end."""
 
 from __future__ import annotations

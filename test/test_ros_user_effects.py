@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """A user's own effect in the node: it moves the arm, and the bag replays where the effect is known."""
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """How blind records are scored: every rule on rows made by hand, and that the sets stay apart."""
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The columns by which effects are looked for, against the simulated arm that has the effect.
 
 Torques are compared through the recorded motor current: N kt i, less what the model without the

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """What every kind's screening promises: legal values, reasons for illegal ones, look-alikes."""
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """What the sensors make of the motion, voltages that arrive late, and sessions with both."""
 
 from __future__ import annotations

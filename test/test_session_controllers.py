@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Sessions whose volts come from a controller object: the simulator's bits, records, replays."""
 
 from __future__ import annotations

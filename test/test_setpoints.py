@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Steps, ramps and smooth moves of the joints; and the reference that controllers make of them."""
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The simulator's promises to its callers: rows, steps, limits, errors, and equal reruns."""
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Experiments of chapters 2 and 4: kinematics against MuJoCo, coefficients against the bodies."""
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Experiments of chapters 5 and 6: third-order form, integration, constraints, inversion."""
 
 from __future__ import annotations

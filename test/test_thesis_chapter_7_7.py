@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Sections 7.6 and 7.7: what the experiments say holds, and their parts do what they claim."""
 
 from __future__ import annotations

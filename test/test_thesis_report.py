@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The page and the JSON: valid, the same on every run, and drawn as promised in a real browser."""
 
 from __future__ import annotations

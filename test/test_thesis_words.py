@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Words of the thesis's experiments: templates, errors, and no entry that nothing uses."""
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The third-order form of chapter 5 is the same system as the motor currents beside the rigid body.
 
 Complex steps have no truncation error, so forms that are equal in exact arithmetic must agree to

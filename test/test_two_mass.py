@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Elastic drives against equations written down a second time, eigenvalues, energy and limits."""
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The URDF is the thesis's arm: its frames, ranges and names, read back by an own small reader."""
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """A user's own effects from outside the package: simulated, recorded and replayed, explained, run by the node."""
 
 from __future__ import annotations

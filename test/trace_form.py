@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The trace form of the rigid body (equations 3.22 to 3.28), for any number of links: the reference of the closed form.
 
 In all, q : (n,) [rad]; bodies : n pseudo inertias (4, 4); table : (n, 3) rows (a, alpha, d).

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Record what a change of structure must not change, and compare two recordings.
 
   python test/unchanged.py record --out DIR [--quick] [--only bags,reports,thesis,effects]

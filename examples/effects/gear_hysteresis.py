@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Hysteresis of a gear, an effect with a state of its own: it winds up by some travel, and then slips."""
 
 import numpy as np

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """A controller that moves all joints so that a record of it shows what the model lacks.
 
 It works like `external_controller`, by topics in volts: those of `exciting_motion`, and a

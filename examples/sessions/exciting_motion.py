@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """A motion of all joints from which a record shows what a model lacks, and volts to make it.
 
 Finite Fourier series about the middle of the joints' ranges: several harmonics, many reversals,

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The whole in one go: `python examples/sessions/line.py --out DIR`.
 
 Starts `sim_node` and the example controller as two processes over DDS, lets the controller lead

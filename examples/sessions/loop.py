@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """From a recorded session to the name of what the model lacks:
 `python examples/sessions/loop.py --out DIR`.
 

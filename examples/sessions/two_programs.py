@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """`sim_node` and a controller as two processes over DDS, from the start to the closed bag.
 
 A controller is a module of puma_sim_ros or a file of this folder.

@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """What the arm is: links, motors and geometry of a rigid three-link PUMA 560, with their units."""
-
-from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

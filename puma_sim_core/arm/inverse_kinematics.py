@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Joint angles that put the wrist at a point: the three joints that carry it, in closed form."""
-
-from __future__ import annotations
 
 from itertools import product
 from math import acos, atan2, cos, hypot, pi, sin, sqrt

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Kinematics of the six links: homogeneous transforms and their derivatives (chapter 2).
 
 Standard (distal) Denavit-Hartenberg: joint i turns about z_{i-1}, and the transform from frame i-1
@@ -8,8 +7,6 @@ along x0 and the forearm points up; positive q2 and q3 turn the arm down. Mispri
 matrices are corrected: the offset d3 stands in the third transform, and the second has none.
 All functions accept complex angles.
 """
-
-from __future__ import annotations
 
 from itertools import accumulate
 

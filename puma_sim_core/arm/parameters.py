@@ -1,13 +1,10 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """What the arm is: the numbers of a rigid three-link PUMA 560 and its motors, with their units.
 
 A parameter file is YAML. Each number stands as ``{value: ..., unit: ..., source: ...}``; the unit
 is compulsory and is the one named in the tables below, so that a number in another unit is refused
 and never misread. The published sets are the files of ``config/parameters``.
 """
-
-from __future__ import annotations
 
 import math
 import os

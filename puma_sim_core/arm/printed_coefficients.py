@@ -1,13 +1,10 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Numerical coefficients of section 4.5, as printed and with their misprints corrected.
 
 For regression only: they show which parameters the thesis used (Bejczy's, table 4.2, though the
 text says the mean of Bejczy and Armstrong) and where its print cannot be right. Nothing is
 simulated with them. The diagonal of D holds the motor inertias, as in the thesis.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path

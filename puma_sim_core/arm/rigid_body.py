@@ -1,13 +1,10 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The rigid body: inertia D, centripetal and Coriolis coefficients C, gravity torque G.
 
 The closed form (equations 4.9 to 4.47, with their misprints corrected and with products of inertia)
 is a handful of constants times sines and cosines of q2, q3 and q2 + q3, in
 ``F = (D + Ia) qdd + qd' C qd + G``. Tests compare it with the trace form (equations 3.22 to 3.28).
 """
-
-from __future__ import annotations
 
 from typing import NamedTuple
 

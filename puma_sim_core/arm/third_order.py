@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The third-order model in the thesis's states (q, qd, qdd), with its named matrices (chapter 5).
 
     Dbar qddd = v - (FMAT + BMAT + GMAT + HMAT) qdd - (JKMAT + KMAT) qd - LMAT
@@ -14,8 +13,6 @@ Derivatives of D, C and G with time are taken by the complex step, Im f(q + i e 
 no difference of near-equal numbers and is exact to rounding (Squire and Trapp, SIAM Review 40,
 1998). All arguments are therefore real.
 """
-
-from __future__ import annotations
 
 from typing import NamedTuple
 

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The arm as URDF text, for RViz, Foxglove and MoveIt: frames, ranges and simple shapes.
 
 URDF turns a joint about an axis of the child's own frame, before the constant transform to the
@@ -13,8 +12,6 @@ The text holds no inertias: the published sets are consistent as joint-space ine
 with the reflected inertia of the motors, which URDF cannot carry, while link 2 by itself is not
 a possible body. Importers that build their own dynamics would get another arm.
 """
-
-from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET

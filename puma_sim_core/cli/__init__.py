@@ -1,12 +1,9 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The command `puma-sim`. Each subcommand has its file; here they come together.
 
 The files declare their options with nothing but argparse, and import the model when they run:
 with numba that takes a second, which a call for help need not wait.
 """
-
-from __future__ import annotations
 
 import argparse
 import os

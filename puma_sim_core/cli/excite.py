@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Write voltages that tell two effects apart, or that show one.
 
   puma-sim excite --separate ONE,OTHER --joint 2 --out volts.csv

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Find what the model lacks in measured logs: name the effect, add it, compare before and after.
 
 A log is a CSV with columns time, voltage1..n, position1..n [s, V, rad or m], which may have
@@ -18,8 +17,6 @@ take. The exit status is 0 for every verdict, DATA_FAULT among them: the log was
 report says what is wrong with it; a DATA_FAULT has no model.yaml. It is 2 where there is nothing
 to report on, such as a file that cannot be read.
 """
-
-from __future__ import annotations
 
 import argparse
 import os

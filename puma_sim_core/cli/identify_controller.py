@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Find a PID controller's gains from a record of its own input and output (section 7.8).
 
 LOG has a row for each sample of the controller, with the columns time, setpoint, position, voltage

@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The commands `model`, `replay` and `recover`: model files and bags."""
-
-from __future__ import annotations
 
 import argparse
 from collections.abc import Callable

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Run a file of voltages through the arm, and write its motion.
 
 In:  columns time, voltage1..3 [s, V]; the voltages of a row hold until the next row.

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Tune one joint by the ultimate-sensitivity method of Ziegler and Nichols (section 7.6.1).
 
 The other joints are locked. The gain at which a proportional controller makes the joint oscillate,
@@ -9,8 +8,6 @@ exactly sampled joint, and on the nonlinear simulator. Table 7.2 makes controlle
   puma-sim tune --joint 2 --pose 0,-90,90
   puma-sim tune --joint 1 --pose 0,0,90 --period 0.028 --delay 1
 """
-
-from __future__ import annotations
 
 import argparse
 

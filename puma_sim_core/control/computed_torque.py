@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Computed torque: the inverse dynamics of the arm, in volts, with PID around it.
 
 With r, r', r'' from the setpoints (see `reference`) and e = r - q, e' = r' - v,

@@ -1,11 +1,8 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Controllers by their names, with the settings of ``config/controllers.yaml``.
 
 All have one interface: ``period``, ``reset()``, ``update(t, setpoint, measurement) -> 3 volts``.
 """
-
-from __future__ import annotations
 
 import os
 from collections.abc import Mapping

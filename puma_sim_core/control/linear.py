@@ -1,13 +1,10 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The arm linearised about a pose at rest, exactly sampled, and the loop that PID closes around it.
 
 Some joints are free and the others truly locked (their rows and columns removed). About a pose the free ones obey
 ``M qdd = kT i - H qd - (dG/dq) q`` and ``L di/dt = v - R i - ke N qd``, the third-order model of chapter 5 without what
 vanishes at rest. Of the effects, viscous friction and loads are in it. All functions take many poses at once.
 """
-
-from __future__ import annotations
 
 from collections.abc import Sequence
 from math import inf

@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """How good a control was: overshoot, rise and settling of a step, errors, volts, saturation."""
-
-from __future__ import annotations
 
 from math import inf
 from typing import NamedTuple

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Position, velocity and acceleration that a controller can follow, from setpoints as they come.
 
 Setpoints come every 28 ms and are not known in advance. Three stages make a path of them:

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """PID control whose gains follow the pose: tables over q2 and q3, interpolated linearly.
 
 Section 7.8 concludes that the PUMA's own controllers do this. D, C and G depend on q2 and q3

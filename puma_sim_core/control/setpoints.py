@@ -1,9 +1,6 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Setpoints as VAL gives them, one for each joint and period: along a straight line of the wrist,
 or of the joints by steps, ramps and smooth moves."""
-
-from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,13 +1,10 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Independent joints with a velocity loop inside the position loop, as section 7.7 wishes for.
 
 ``w = r' + Kp (r - q)``; ``volts = Kv [(w - v) + (h / Tv) sum(w - v)]``: the outer loop asks for a
 velocity, a PI controller sees to it. Setpoints and measured velocity v as in `computed_torque`,
 but no model of the arm. While a voltage is at its limit, its sum does not grow.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The electrical circuits of the three motors: equation 5.1, L di/dt = V - R i - ke N qd."""
-
-from __future__ import annotations
 
 from puma_sim_core.dynamics.laws import (
     ALGEBRAIC,

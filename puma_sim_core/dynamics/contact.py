@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Stick and slip: one step of the model with dry friction in it.
 
 Dry friction has no derivative at rest, so each joint is at every moment in one of two states.
@@ -10,8 +9,6 @@ start. Where one of them ends inside the step (a velocity changes sign, a torque
 level), the moment is located by an Illinois iteration on the step itself, and the rest of the
 step goes on from there with new states. So the order of the Runge-Kutta step survives reversals.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Several runs side by side in the lanes of the processor's vector registers.
 
 The same step as that of one arm, inside a loop over lanes that the compiler turns into vector
@@ -8,8 +7,6 @@ instructions. That needs a sine and cosine without calls or branches: polynomial
 for angles up to 1e5 rad, so that a run in a lane agrees with the same run alone to rounding, not
 bit for bit. What a lane gives does not depend on its neighbours.
 """
-
-from __future__ import annotations
 
 from math import floor
 

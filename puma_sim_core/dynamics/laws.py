@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The laws of all effects, combined point by point: what the step calls.
 
 Each function here is written out from the registry, as one would by hand: the sum of two laws is
@@ -7,8 +6,6 @@ Each function here is written out from the registry, as one would by hand: the s
 it costs what a sum written by hand costs, compiled or not. p is the packed table of effects and k the place where the
 part of joint j begins; laws of the whole arm take j = 0.
 """
-
-from __future__ import annotations
 
 import ast
 import builtins

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The third-order model as scalar code: its derivative (equations 4.1, corrected: + Ia qdd, H qd, and 5.1) and step.
 
 Everything that moves runs through here, compiled or as plain Python (see `jit`), with the same bits. D, C and G
@@ -10,8 +9,6 @@ A derivative is a list of stages: electrical circuit, torques at the joints, rig
 solution. Stages that only some effects need are entered by their bit of `Model.active`; a plant without effects
 passes them by. What the arguments are: `types`.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable
 from math import cos, sin

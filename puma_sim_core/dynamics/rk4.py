@@ -1,13 +1,10 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The classical Runge-Kutta step (equation 6.5), once for all systems.
 
 The voltages are held over a step (appendix B: constant input keeps the order). Deflections follow the travel of the
 joints at each stage exactly, bounded by the friction at half the step: as springs they keep the order and the
 stability of the method, and they are of second order where they yield.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any, NamedTuple

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Whole runs in one call: voltages held row by row, or the digital servo.
 
 What drive trains need is compiled by itself, so that nobody waits for it who does not use it.
@@ -9,8 +8,6 @@ and `Session` are their callers. A row of `out` holds the state x and the bristl
 with `WIDE` stages behind them the measured positions m and the rest of z. A run stops at the first
 state that is not finite and returns its row, or -1.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any

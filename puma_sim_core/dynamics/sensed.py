@@ -1,13 +1,10 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The measured position: what records, joint states, the servo and controllers see.
 
 The state of the simulation is the true one; with effects of its sensors
 the measured position differs from it. A lag has a memory, the measured
 position itself, which a run carries on.
 """
-
-from __future__ import annotations
 
 from collections.abc import Sequence
 from math import exp

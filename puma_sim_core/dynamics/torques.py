@@ -1,13 +1,10 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The torques of the effects at the joints, from the laws of the registry.
 
 The arguments are those of `types`. Smooth torques depend on position and
 velocity; dry friction is a level, of which a part stays the same over a step, a part falls with
 the speed and a part depends on the pose; and it may act through a bristle.
 """
-
-from __future__ import annotations
 
 from math import exp
 

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """One step of an arm whose links do not follow their motors exactly.
 
 A soft joint, with a spring or backlash, has two rows: its rotor, a scalar with the motor, its
@@ -21,8 +20,6 @@ holds positions [rad] and velocities [rad/s] of the three links. Arguments are t
 `plant.drive_train` behind p, the body made of its `link_arm`, and in v, behind the voltages, the torques [N.m] that
 push the links from outside. A constraint holds the motor of a soft joint, not its link.
 """
-
-from __future__ import annotations
 
 from typing import Any
 

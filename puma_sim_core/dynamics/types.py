@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """What the step takes and gives: named tuples, so that plain Python and compiled code share them.
 
 Constants (`Model`), state (`State`) and what is asked for (`Rows`, `ServoLoop`) stand apart: a step takes them and
@@ -20,8 +19,6 @@ bend : torques of the deflections [N.m]; level : bounds of the bristles [N.m]; p
 trig : (sin q2, cos q2, sin(q2 + q3), cos(q2 + q3)).
 system : the equations M a = b of the joints, row by row from the diagonal: m11, m12, m13, m22, m23, m33, b1, b2, b3.
 """
-
-from __future__ import annotations
 
 from typing import Any, NamedTuple
 

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """What real drives do beyond the thesis's model: one file an effect (see `base` for how to write one)."""
 
 from puma_sim_core.effects.base import Effect, Kind, Parameter

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """What an effect is: the contract of every file in this folder, and a guide to writing one.
 
 An effect is something that a real drive does and the thesis's model lacks. One file holds all of it: a module with a

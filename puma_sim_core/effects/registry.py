@@ -1,12 +1,9 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The registry of effects: those of this folder, and users' own.
 
 These come from entry points of the group ``puma_sim.effects``, from the files that the environment variable
 PUMA_SIM_EFFECTS names (separated as PATH is), or from `load_effects`, before the kernel is built from the registry.
 """
-
-from __future__ import annotations
 
 import copyreg
 import importlib

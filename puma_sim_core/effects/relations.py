@@ -1,11 +1,8 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """How effects are related, from relations.yaml: look-alikes, special cases, exact ties. Each pair stands once.
 
 An effect that is not listed there, such as a user's own, states its relations in its own file.
 """
-
-from __future__ import annotations
 
 from pathlib import Path
 

@@ -1,13 +1,10 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """How an effect is looked for in a measured log: what its screening function reads and returns.
 
 The function takes `Signals` and a joint, and gives candidates: regressor columns, one set for each point of a grid over
 the parameters that the torque is not linear in. Coefficients of the columns have a Gaussian prior; `values` turns
 fitted coefficients into parameters of the effect, or into the reason why they are no legal ones.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

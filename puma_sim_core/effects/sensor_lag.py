@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """A sensor with a lag of first order."""
 
 from puma_sim_core.effects.base import RATE, SENSING, Kind, Law, Parameter, Point

@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Viscous friction: the one effect that the thesis itself has, so that every mechanism has it as a parameter."""
-
-from __future__ import annotations
 
 from puma_sim_core.effects.base import TORQUE, Kind, Parameter
 

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Identification: from measured logs to the effect that the model lacks.
 
 ``explain(logs, ...)`` gives an `Explanation`; the command is ``puma-sim explain``.

@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Types of arrays, and the rows of logs that stand below each other."""
-
-from __future__ import annotations
 
 from collections.abc import Iterable
 from itertools import accumulate, pairwise

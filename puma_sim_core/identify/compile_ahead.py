@@ -1,12 +1,9 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Compile what `explain` runs, ahead of its first use.
 
 `python -m puma_sim_core.identify.compile_ahead` takes the better part of a minute; what it makes is kept
 on the disk, for this user and these sources.
 """
-
-from __future__ import annotations
 
 import sys
 

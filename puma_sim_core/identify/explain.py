@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """From measured logs to what the model lacks: the whole method, stage by stage."""
-
-from __future__ import annotations
 
 import os
 import time as clock

@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The verdict, and the explanation composed from what all stages found."""
-
-from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass

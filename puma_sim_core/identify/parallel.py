@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Independent runs of the model on all cores: the compiled kernel lets go of the interpreter."""
-
-from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable

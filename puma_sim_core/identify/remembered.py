@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """A cache of arrays: the least recently used goes first."""
-
-from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable

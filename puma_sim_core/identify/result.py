@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """What `explain` gives: the verdict, the effects with their evidence, the errors, the rest."""
 
 from __future__ import annotations

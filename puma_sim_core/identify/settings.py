@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Every threshold of the identification, stage by stage, each with its source.
 
 A source is a derivation, a citation, or the calibration set that the value was chosen on. No threshold is moved on a
@@ -11,8 +10,6 @@ No source : chosen by hand or on synthetic development records.
 
 A comment on a line of its own is of the settings below it, in their order; names begin with their module's.
 """
-
-from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -1,12 +1,9 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Figures drawn by matplotlib as SVG inside a page; the same figure gives the same text.
 
 A drawing is small enough that its letters stay readable when a page makes it as narrow as a phone.
 Colours become variables of the style sheet, so that the page can be light or dark.
 """
-
-from __future__ import annotations
 
 import html
 import io

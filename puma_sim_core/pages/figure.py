@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """A figure as data: axes with labels, and layers from the bottom to the top."""
-
-from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass

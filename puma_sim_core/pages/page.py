@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Pages from templates: one HTML file each, which needs no network and has no script."""
-
-from __future__ import annotations
 
 from typing import Any
 

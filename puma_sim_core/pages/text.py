@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Numbers and units in Unicode, which pages and figures show alike."""
-
-from __future__ import annotations
 
 import re
 from typing import Any

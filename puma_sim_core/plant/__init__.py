@@ -1,3 +1,2 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """An arm with its effects, and mechanisms with priors of their parameters."""

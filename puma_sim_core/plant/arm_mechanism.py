@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The arm of three joints as identification sees it.
 
 Its torques are linear in the constants of `rigid_body.Lumps`: one table of sines, speeds and accelerations serves the

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """What identification needs of a machine: parameters with priors, torques, a plant.
 
 A `Mechanism` is an arm of three joints (`arm_mechanism`) or a single joint (`one_joint`). The voltage

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Files that describe mechanisms: ``config/mechanisms`` and those of users.
 
 YAML with ``format``, ``name`` and ``kind``; a number is ``{value: ..., unit: ..., source: ...}``.
@@ -11,8 +10,6 @@ width of the prior of each sort of number as a share of it.
 ``kind: pendulum`` and ``kind: slide``: ``range``, ``body`` and ``drive``; a number may also have
 ``deviation`` (in its unit), ``relative_deviation`` (a share of it) or ``known: true``, one of them.
 """
-
-from __future__ import annotations
 
 import os
 from collections.abc import Mapping

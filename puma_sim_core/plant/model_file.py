@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Model files: a plant of any kind, with its parameters and effects."""
-
-from __future__ import annotations
 
 import os
 from collections.abc import Mapping

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Mechanisms of one joint: a mass on a lever (pendulum), or on a guide (slide).
 
     pendulum   (m l^2 + Jl + Ia) qdd + m g l sin q + H qd = torque of the drive, q = 0 hanging down

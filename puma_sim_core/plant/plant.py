@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """A plant: an arm and the effects that act on it, and the file that holds both.
 
 A model file is YAML: ``format``, ``version`` of the package that wrote it, ``torque_form``,

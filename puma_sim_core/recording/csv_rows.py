@@ -1,13 +1,10 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The one reader of CSV text: comments, header, numbers, and long files in blocks of rows.
 
 A file is UTF-8 with a comma between fields. Lines that are blank or begin with '#' are skipped; the
 first other line names the columns. Units are those of the columns' names: nothing is converted.
 Errors name the file, the line and the column.
 """
-
-from __future__ import annotations
 
 import csv
 import os

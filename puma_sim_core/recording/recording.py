@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """What a run gives: times, voltages and states, and their CSV form.
 
 Columns: ``time`` [s], ``voltage1..3`` [V], and, in the output of a run, ``position1..3`` [rad],
@@ -7,8 +6,6 @@ Columns: ``time`` [s], ``voltage1..3`` [V], and, in the output of a run, ``posit
 state of a row is the state at its time. Numbers are written with every digit, so that a file
 reads back to the same bits.
 """
-
-from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Sequence

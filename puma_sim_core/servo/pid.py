@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Discrete PID control (section 7.6.1), one law for the kernel's servo and for Python.
 
 Positional form of equation 7.2, whose printed version lacks h/Ti:
@@ -12,8 +11,6 @@ coefficients 7.5 to 7.7, whose 7.6 lacks its minus in print. Its sum ends one sa
 (at k-1, as those coefficients have it), so that without limits it is the positional form less
 ``Kg (h/Ti) e(k)``. It goes on from the limited output, which is its anti-windup.
 """
-
-from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The digital joint servo of section 7.6: setpoints each 28 ms, thirty samples in between.
 
 One sample of a joint is a chain: encoder counts, PID, digital-to-analogue converter, power

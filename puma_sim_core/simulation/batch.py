@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Many runs at once: different parameters, voltages, effects and starts, over all cores.
 
 Runs without effects that need a stage of the kernel of their own go side by side in the lanes of

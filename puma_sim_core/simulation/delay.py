@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Voltages on their way: what a delay of the input holds back.
 
 An amplifier at the end of a delay of T seconds gets at t exactly what was asked for at t - T. T need be no multiple of

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The arm under any controller object, sample by sample.
 
 For the interface of a controller see `Controller`. Around it stands the chain of the digital servo: encoder counts
@@ -7,8 +6,6 @@ before it; its own limit, the converter, the amplifier and the delay behind it. 
 it gets are the measured ones, with the plant's effects of sensing in them. With the PID
 controller in it the loop gives the same bits as the servo that is compiled into the kernel.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from math import isfinite

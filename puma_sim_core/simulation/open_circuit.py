@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Drives that are switched off for some rows: no current flows, and the joint swings freely."""
-
-from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator

@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """A bag's commands through the core again: the same states to the last bit, or the first that differs."""
-
-from __future__ import annotations
 
 import os
 from dataclasses import dataclass

@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """What a run is given, checked and in the form that the kernel takes."""
-
-from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from math import isfinite

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """A session: commands in, one period of the arm at a time, states out.
 
 The node runs one and so does a replay; there is no ROS, no clock and no file in it. Time is the

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The simulator of chapter 6: constraints, limits, reset, step and run.
 
 Inputs are motor voltages that are piecewise constant, or setpoints of the digital servo; outputs

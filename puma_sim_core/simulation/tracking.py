@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Kalman predictor: the model follows a measured motion, and its innovations tell how well.
 
 Each row the model predicts the measured positions of the next one; what they are away from the
@@ -7,8 +6,6 @@ prediction, the innovation, moves the model's state by a constant gain. With the
 Kalman filter the innovations of a true model are independent of one another and of all voltages
 before, also where feedback made those voltages out of the measured positions.
 """
-
-from __future__ import annotations
 
 from typing import Any, NamedTuple
 

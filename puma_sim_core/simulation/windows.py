@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """A measured log in open loop: its voltages through the model, started again every few seconds.
 
 At the start of each window the model takes over the measured state; from there to the end of the window it sees the
@@ -8,8 +7,6 @@ than voltages and positions: the velocity is then the slope of the positions abo
 current that which the voltages before the row drive against the back-EMF (`driven_current`). The deflections of
 bristles cannot be measured; they go on from the end of the window before.
 """
-
-from __future__ import annotations
 
 import itertools
 from collections.abc import Callable

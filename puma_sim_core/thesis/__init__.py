@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The experiments of the thesis, each a named thing that can be run.
 
 ``puma-sim thesis`` lists them; :mod:`puma_sim_core.thesis.registry` finds them,

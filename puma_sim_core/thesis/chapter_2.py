@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Section 2.4: the kinematics of six links at precision points."""
-
-from __future__ import annotations
 
 import itertools
 from contextlib import suppress

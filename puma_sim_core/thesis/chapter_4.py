@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Sections 4.3 to 4.5: the coefficients in symbols, their parameters, and their numbers."""
-
-from __future__ import annotations
 
 from dataclasses import replace
 from math import pi, radians

@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Chapter 5 and sections 6.3, 6.4: third-order matrices, their inversion, and the program's P."""
-
-from __future__ import annotations
 
 from fractions import Fraction
 

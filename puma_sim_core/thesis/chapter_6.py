@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Sections 6.1 and 6.2: constrained joints; Runge-Kutta against Euler, its stability and its run time."""
-
-from __future__ import annotations
 
 import itertools
 import time

@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Section 7.2: what the motors can drive, and the thesis's one table of measurements."""
-
-from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import inf, isfinite

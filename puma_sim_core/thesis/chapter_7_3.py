@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Section 7.3: the arm falls under gravity, and friction is estimated from its motion."""
-
-from __future__ import annotations
 
 from dataclasses import replace
 from math import degrees, pi, radians

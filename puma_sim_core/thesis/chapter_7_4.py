@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Section 7.4: radii of gyration estimated from motions of one joint at a time of a hidden arm.
 
 The thesis takes masses, centres of mass and motors as known and looks for radii of gyration; so

@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Section 7.5: a recorded path down a vertical line, replayed open loop."""
-
-from __future__ import annotations
 
 from dataclasses import replace
 from math import radians

@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Section 7.6: the discrete PID controller, its coefficients, and the ultimate gains."""
-
-from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import product

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Section 7.7: PID control at the thesis's poses, plots 7.17 to 7.22.
 
 7.7.1 to 7.7.3: one joint at five poses, plots 7.17 to 7.21, and maps over the workspace.
@@ -8,8 +7,6 @@
 is tried by itself, with the thesis's gains and with those of the corrected model: what happens in the last half of
 half a minute of standing still? Where something goes on, each joint is tried alone too: the thesis blames the coupling.
 """
-
-from __future__ import annotations
 
 from bisect import bisect
 from collections.abc import Iterator, Sequence

@@ -1,9 +1,6 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Section 7.8: the controller's gains from its own input and output, on records whose gains are
 known; and what equations 7.9 and 7.10 can and cannot give."""
-
-from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace

@@ -1,9 +1,6 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Section 7.9: joint 1 with the measured and with the estimated PID values, plots 7.25 and 7.26;
 and gains that follow the pose."""
-
-from __future__ import annotations
 
 from dataclasses import dataclass
 

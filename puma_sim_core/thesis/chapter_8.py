@@ -1,12 +1,9 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Chapter 8, the thesis's closing wish: smooth setpoints, velocity loops, decoupling.
 
 Five controllers, designed on the model, do steps, a path with abrupt changes of velocity, and the same path smoothly.
 The arm then is the model, differs from it by 10 % in every parameter that matters, or has unknown friction.
 """
-
-from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace

@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The errata of the thesis: every misprint with its proof and its effect on the numbers."""
-
-from __future__ import annotations
 
 import numpy as np
 from scipy.integrate import solve_ivp

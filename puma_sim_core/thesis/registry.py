@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The experiments by their numbers, found in the package's own modules; run one by one or in several processes."""
-
-from __future__ import annotations
 
 import hashlib
 import importlib

@@ -1,11 +1,8 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The page of the results, with the printed numbers beside ours, and the JSON: the same results, the same bytes.
 
 The page's template is `templates/thesis.html`; figures of the thesis become figures of the pages here.
 """
-
-from __future__ import annotations
 
 import itertools
 import math

@@ -1,12 +1,9 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """What an experiment gives back: rows beside the printed numbers, figures, numbers.
 
 All raise ValueError for what cannot be drawn or written: numbers that are not finite, shapes that
 do not fit, an unknown style.
 """
-
-from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Titles, rows, figures, sentences and printed numbers of experiments, from words/MODULE.yaml.
 
 A file has these sections, each a mapping by key::
@@ -14,8 +13,6 @@ A text may hold ``{name:.2f}``, as `str.format` has it. One placeholder alone, `
 value itself. A format of a list is applied to each item, with commas between them. In the place of a
 text, a mapping gives one text a case; `case` chooses, and what has no text of its own is `else`.
 """
-
-from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping

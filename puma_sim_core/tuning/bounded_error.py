@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """What rounding alone lets be true: bounds on parameters without any statistics.
 
 A voltage that was rounded to a step d says that the controller's own was within d/2 of it. Each
@@ -7,8 +6,6 @@ sample so gives two linear inequalities in the parameters; all of them together 
 linear programmes find its ends (Milanese and Belforte 1982). Where the set is empty, no linear
 law of that kind made the record. The ends close in as 1/samples, not as its square root.
 """
-
-from __future__ import annotations
 
 from collections.abc import Iterable
 

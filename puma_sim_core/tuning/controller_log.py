@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """What a recorder on the controller board gives of one joint (section 7.8), and its file."""
 
 from __future__ import annotations

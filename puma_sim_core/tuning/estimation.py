@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Estimation of an arm's parameters from recorded motions, with intervals that hold.
 
 A record is what section 7.1.1 could take from the PUMA: the voltages at the motors and the joint
@@ -9,8 +8,6 @@ Open loop, an error of a recorded voltage stays in the angle for good: the resid
 independent, and intervals that took them so would be far too narrow. Here the residuals are
 weighted with the covariance that noise of angle and voltage give together.
 """
-
-from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Recursive least squares, and covariances of estimates whose errors are correlated in time.
 
 Recursive least squares with exponential forgetting minimises, after sample n,
@@ -7,8 +6,6 @@ Recursive least squares with exponential forgetting minimises, after sample n,
 kept here as the triangular factor of the weighted rows, not as a covariance matrix: there is no
 starting guess to forget, and the result after any number of rows is that of one batch.
 """
-
-from __future__ import annotations
 
 from typing import Any
 

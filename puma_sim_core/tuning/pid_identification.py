@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """PID gains from a controller's own input and output (section 7.8).
 
 The denominator of a PID controller is known: 1 - z^-1. Summed up once, its law is linear in the gains and in a constant
@@ -8,8 +7,6 @@ measurement. The inputs are the very numbers that the controller read, so that t
 error, and least squares is unbiased (unlike `transfer_function`). While the voltage is at its limit the law does not
 hold; each stretch between two such has a constant of its own.
 """
-
-from __future__ import annotations
 
 from dataclasses import dataclass, field
 from math import inf, sqrt

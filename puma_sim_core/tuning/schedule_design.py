@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """How the tables of `scheduled` are made: from the model by the poles of the loop, or from the ultimate gains.
 
 `placed_gains`, for the servo's rate. One joint moves, its motor without inductance:
@@ -9,8 +8,6 @@ action. PID gives it three poles at -b with ``Kg = 3 b^2 R M / kT``, ``Ti = 3 / 
 
 `ultimate_gains`, for slow and late samples: fixed shares of Kmax and Tp of each pose.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from typing import Any

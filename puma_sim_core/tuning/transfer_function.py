@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """A controller's transfer function with its denominator left free, as section 7.8 estimates it.
 
 ``u(k) = -a1 u(k-1) - a2 u(k-2) + q0 e(k) + q1 e(k-1) + q2 e(k-2)``. The voltages on the right are the recorded ones:
@@ -8,8 +7,6 @@ a1 is small (below 1e-3), but the gains are differences of coefficients thirty t
 that are free of the rounding, the noise-free output of a first model, take the bias away (Young 2011, refined
 instrumental variables), at the price of wider intervals; knowing the denominator (`identify_pid`) does better.
 """
-
-from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Ultimate gain and period of a joint, and the settings of table 7.2 (section 7.6.1).
 
 One joint moves, the others are locked. A proportional controller samples its position; the gain
@@ -16,8 +15,6 @@ Below the ultimate gain there may be another bound: an arm above its shoulder ne
 stand up at all. Where no gain keeps the joint stable, or none makes it oscillate below the limit,
 there is no ultimate gain, and a `TuningError` says so.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Blind records: measured-looking logs of an arm that shares no code with the project.
 
 The rigid arm, dry friction, springs, stops, play and elastic drives are MuJoCo's, at steps of

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The arm as a MuJoCo model: links, rotors behind elastic or loose drives, springs and stops."""
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Numbers of the arm "bejczy" and its rigid-body voltages in closed form.
 
 Source: the design notes' page on the model, sections 1 to 3 (thesis section 4.5, corrected).

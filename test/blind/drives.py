@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Motors, amplifiers, sensors and the position controller around MuJoCo's arm.
 
 The loop is compiled by numba and calls `mj_step` of MuJoCo's own library, 2 microseconds a step.

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The library of effects, from the design notes' table: what is drawn, and how it enters.
 
 Each effect draws its parameters with a strength of 1, which the generator then scales until the

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Faults of the data, put into a good log, with the channel and the row that show them.
 
 Rows are counted from 1, the first line of data. A fault has `row` None where it is all over the

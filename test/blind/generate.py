@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Makes records from recipes: `python test/blind/generate.py --out DIR --seed 2000 --nothing 20`.
 
 Each record is a CSV, and its answer an entry of `answers.json` beside it. The same recipe gives

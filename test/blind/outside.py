@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Effects that the library does not have: they must be left unnamed, with their axis and joint."""
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The plan: which record has what. A recipe is small, can be pickled, and says all but draws."""
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """How large an effect was in a record: what retuning cannot absorb of it, over the noise floor.
 
 All of it is known here without noise: the voltage that the rigid plant with the true parameters

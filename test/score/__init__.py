@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The scored batch: `make score`, on fresh blind records, beside three baselines.
 
 `plan` says which records, `jobs` makes and explains one, `reference` fits its true structure,

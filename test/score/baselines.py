@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """What anyone would try first, on the same records and the same regressor columns.
 
 "all at once": ordinary least squares of the residual on the columns of every effect of the

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """One record of a batch: made, explained without its answer, then set beside what was possible."""
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """What an analysis could have reached: the true structure fitted to the same record.
 
 The machinery is the loop's own, without the choice: the effects that the answer names, from their

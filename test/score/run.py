@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The scored batch: makes fresh blind records, explains them, prints the table.
 
   python test/score/run.py                       the score: 340 records, seeds from 907000 on

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """What was said against what was true: pure functions of a report and an answer.
 
 A report is the mapping of `report.json`, an answer an entry of `answers.json`; the outcome of

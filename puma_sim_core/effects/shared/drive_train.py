@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """A joint whose link does not follow its motor exactly: laws of its drive train, and what they cost in volts.
 
 A spring divides a joint in two masses. `motor_share` of its motor's inertia Ia turns with the rotor, the rest with the

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Dry friction on machines: coordinates in which its parameters are independent, and priors of these.
 
 The level of a joint's dry friction may be anything up to its nominal friction and more; its shape scales with the

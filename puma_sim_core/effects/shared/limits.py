@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Limits: the law of a quantity that is clipped, and candidates of the limits that a log exceeds."""
 
 from collections.abc import Callable

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Changes of a joint's motion, waves of the position above all, and the voltages that they make."""
 
 import numpy as np

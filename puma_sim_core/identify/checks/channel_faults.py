@@ -1,13 +1,10 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Channels that are not what they are called: exchanged, of the other sign, in another unit or offset; and logs of
 another plant.
 
 Each such mistake has a correction. A log whose voltage the model cannot explain as it stands (see `plausibility`), and
 explains with one of these corrections, has that fault; one that none of them explains is of another plant.
 """
-
-from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass

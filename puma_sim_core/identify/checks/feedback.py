@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Whether feedback in the recording makes a delay or an elasticity out of noise.
 
 Under position control the voltage answers to the noise of the measured position and to what pushes the joint.
@@ -11,8 +10,6 @@ not exogenous.
 Instruments are the setpoints with their derivatives, or, in a log without setpoints, voltages and positions older than
 the correlation time of the noise.
 """
-
-from __future__ import annotations
 
 import numpy as np
 from scipy.stats import chi2

@@ -1,13 +1,10 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The gate: a log with a fault of its data is explained by that fault alone.
 
 In order: numbers that are missing, length, time stamps; rows and runs that no drive can make; channels that are not
 what they are called; a log of another plant. Each check presupposes those before it, and is only made where they found
 nothing. Rows count from 1, the first row of numbers; a fault of a whole channel has none.
 """
-
-from __future__ import annotations
 
 import numpy as np
 

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """How much of a log's voltage the nominal model can explain, coarsely and robustly.
 
 The slow part of each joint's voltage is split as the model says, V = k (inertial + gravity torque) + (emf + k H) qd,

@@ -1,13 +1,10 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """How far a log is from the nominal plant, in the widths of the priors.
 
 All parameters of the mechanism, linearised, and the effects that add slow volts, each with the width that machines
 have, share out the voltage. The cost is half the sum of the squares of their deviations and of the residual. A position
 with a wrong scale or offset has a high cost as it stands and a low one once it is corrected.
 """
-
-from __future__ import annotations
 
 from collections.abc import Sequence
 

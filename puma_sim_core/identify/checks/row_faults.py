@@ -1,12 +1,9 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Faults of single rows and runs of rows: time stamps, missing numbers, spikes, dropped rows, frozen channels.
 
 What a position may do from row to row is bounded by the drive: no acceleration above what the voltages of the log,
 friction and an impact give the joint's inertia.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace

@@ -1,13 +1,10 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """A fault that only the trials show: a joint whose zero is wrong by more than any sensor's.
 
 The gate sees such an offset where it makes the weight of the links wrong by much. A smaller one can hide in the priors
 of the parameters until the model is fitted: then an encoder offset explains the log better than any effect does, and is
 larger than one can be.
 """
-
-from __future__ import annotations
 
 from collections.abc import Iterable
 

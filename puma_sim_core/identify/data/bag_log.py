@@ -1,12 +1,9 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """A bag of `sim_node` as a log: what was commanded and what was measured.
 
 Of the model and the session that a bag also holds, only the rules that turn commands into volts are read: the voltage
 limit, the watchdog, the period.
 """
-
-from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path

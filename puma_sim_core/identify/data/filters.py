@@ -1,13 +1,10 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Filters without phase, and derivatives, by the fast Fourier transform.
 
 Both filters have the response H(f) = 1 / (1 + (f/fc)^8): flat to half of fc, 1/2 at fc, 1/257 at twice fc. A series is
 continued beyond its ends by its own point reflection, so that a slope goes on; rows within `edge` of an end still
 depend on that and are not used.
 """
-
-from __future__ import annotations
 
 from collections.abc import Sequence
 

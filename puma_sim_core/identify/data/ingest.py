@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Reading of logs: anyone's CSV or a bag of `sim_node` as a `Log`.
 
 Channels: ``time`` [s], ``voltage1..J`` [V], ``position1..J`` [rad or m], and, where there are any, ``velocity1..J``,
@@ -7,8 +6,6 @@ Channels: ``time`` [s], ``voltage1..J`` [V], ``position1..J`` [rad or m], and, w
 of a row is the commanded one and holds until the next row; the position of a row is the one at its time. Gaps and NaN
 are taken over: `gate` judges them. Rows count from 1, the first row of numbers.
 """
-
-from __future__ import annotations
 
 import os
 from collections.abc import Mapping

@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """A measured log: times, voltages and positions of a machine, and what else was recorded."""
-
-from __future__ import annotations
 
 from dataclasses import dataclass, field
 

@@ -1,13 +1,10 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Logs on one even grid, positions filtered without phase to velocity and acceleration.
 
 A row's voltage holds until the next row. What belongs to an instant is its mean over one step about it: for even logs
 the mean of two rows, for uneven ones an exact integral. Positions of uneven logs are interpolated by a cubic through
 their neighbours (Akima).
 """
-
-from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,13 +1,10 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The excitation that best tells two effects apart, or shows one: a seeded search.
 
 Random motions, then neighbours of the best ones, are judged by `separation` on what the machine would do if the effect
 were there. The voltages of the best ones are simulated on machines whose parameters are wrong by 8 %, and with the
 effects in them; a motion is made smaller until all of them stay in their ranges.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

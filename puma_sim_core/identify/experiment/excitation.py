@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Motions that excite a machine, and the voltages that drive it along them.
 
 The motion of a joint is a finite Fourier series about a pose (Swevers, Ganseman, Tukel, De Schutter

@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """What to record next: the tie to break, or the effect to bring out, and the command for it."""
-
-from __future__ import annotations
 
 import shlex
 from collections.abc import Iterable

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """How well a motion tells two effects apart, before it is made.
 
 The parameters of the mechanism, with their priors, are projected out of the columns of both effects along the motion,
@@ -7,8 +6,6 @@ as in `evidence`. What is then left of one effect of a usual size when the other
 noise, is the gain of log evidence that a record of this motion would have for the one that is there: half of its
 square, in nats.
 """
-
-from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

@@ -1,13 +1,10 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Confidence intervals: a sandwich about the last step, and profiles of the likelihood.
 
 Innovations of an inexact model are not independent: the sandwich takes the scores' own covariance (Newey and West 1987,
 Econometrica 55:703). No slope shows limits and gaps: each parameter is also moved to both sides, all others fitted
 again, until the likelihood has fallen by as much. The wider counts.
 """
-
-from __future__ import annotations
 
 import numpy as np
 

@@ -1,11 +1,8 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Occam factors: what log evidence is less than the greatest log likelihood, for parameters that are free.
 
 They grow with the width of the prior over what the log leaves of it (MacKay 1992, Neural Computation 4:415).
 """
-
-from __future__ import annotations
 
 import numpy as np
 

@@ -1,12 +1,9 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Prediction-error fits: parameters fitted to the innovations of a Kalman predictor (Gauss and Newton).
 
 The innovations of a true model are white and independent of the past, with feedback and without: fits are unbiased
 (Ljung, System Identification, chapter 13), and the causal filter that weights the innovations keeps that.
 """
-
-from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Kalman predictor of logs by a model: innovations, what they are in volts, and their noise.
 
 The innovations of a true model are white and independent of the past, with feedback and without (Ljung, System

@@ -1,11 +1,8 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Hypotheses put into the model one by one, and fitted with all its parameters.
 
 A trial counts by its gain of log likelihood less the Occam factor, its gain on the validation set, and its sizes.
 """
-
-from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The noise of innovations: its spectrum, and the filter that whitens it.
 
 A filter fitted to whiten any innovations would also remove a spectral line, or a slow effect. Here their spectrum is
@@ -8,8 +7,6 @@ disturbances with correlation times of 5 to 160 ms. Weights are fitted to median
 move. The filter is the causal one of minimum phase (Oppenheim and Schafer, Discrete-Time Signal Processing, chapter on
 cepstral analysis).
 """
-
-from __future__ import annotations
 
 from dataclasses import dataclass
 

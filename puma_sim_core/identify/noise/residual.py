@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The noise of the residual of filtered motion: a few physical sources, each with its spectrum.
 
 A noise model of any shape would take an oscillation for noise. Here the spectrum at each joint is a sum, with weights
@@ -7,8 +6,6 @@ A noise model of any shape would take an oscillation for noise. Here the spectru
 disturbances with correlation times of 10, 40 or 160 ms. Weights are fitted to medians of the periodogram over bands,
 which a spectral line does not move, and none is below that of quantisation.
 """
-
-from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence

@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Causal filters that whiten the innovations of logs."""
-
-from __future__ import annotations
 
 from dataclasses import dataclass
 

@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Facts of the three answers on top of a report: what is missing, how sure, how much better."""
-
-from __future__ import annotations
 
 import math
 

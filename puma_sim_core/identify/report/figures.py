@@ -1,11 +1,8 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The figures of a report: which residual is drawn against what, and why.
 
 Residuals are drawn in time, and against the variable on which the effect that was found acts.
 """
-
-from __future__ import annotations
 
 import math
 from dataclasses import replace

@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The report that a person reads; markup and sentences stand in `templates`, in a macro for each section."""
-
-from __future__ import annotations
 
 from inspect import getmembers, isfunction
 

@@ -1,11 +1,8 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """An explanation as `report.json`; `config/explain_report.schema.json` describes the layout.
 
 The same explanation gives the same bytes but for `seconds`, which stands on a line of its own.
 """
-
-from __future__ import annotations
 
 import math
 from dataclasses import asdict

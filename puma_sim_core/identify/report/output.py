@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The folder that an explanation is written to: all of its files appear, or none."""
-
-from __future__ import annotations
 
 import os
 from collections.abc import Iterable

@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Rows of the report's tables: errors, ranking, smallest sizes, parameters; the templates print them."""
-
-from __future__ import annotations
 
 import math
 from collections.abc import Sequence

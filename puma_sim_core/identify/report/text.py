@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Numbers and names as a reader of the report sees them."""
-
-from __future__ import annotations
 
 import math
 from collections.abc import Iterable

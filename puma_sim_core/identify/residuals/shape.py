@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Free curves: the shape of what no effect of the library explains.
 
 Each joint has a bank of curves: piecewise linear over one axis, plain or with the sign of the velocity, hystereses, a

@@ -1,11 +1,8 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """What is left of a log after a model, as free curves; whether a curve is preferred to the named effects.
 
 What is missing may have stretched parameters: curves are fitted about those beside the best curve.
 """
-
-from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 

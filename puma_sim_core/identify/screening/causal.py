@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Hypotheses against the innovations of a Kalman predictor, linear and without bias.
 
 A part x(t) of the voltage that the model lacks shows in its innovations as x through the response of the predictor.

@@ -1,13 +1,10 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """What the log could have shown: the smallest size of each effect that would have been named.
 
 A coefficient of size c along a column with X'PX = G raises the log evidence by c^2 G / 2 less the Occam factor of its
 prior. The size where that reaches the threshold of a name is the smallest that the log could show; where it is larger
 than any plausible size, the log does not excite the effect.
 """
-
-from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Marginal likelihood of hypotheses in closed form, parameters always competing.
 
 The whitened residual is y = N a + X b + e: N the derivatives by the mechanism's parameters and the columns of effects

@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Hypotheses of a library, the signals that their candidates read, and the columns of these."""
-
-from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 

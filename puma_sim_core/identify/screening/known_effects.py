@@ -1,12 +1,9 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The voltage that the effects of a model take along a measured motion.
 
 Inverse dynamics give the voltage of a motion by the model without effects. What known effects add to it comes from the
 laws that the kernel simulates, so that a model with effects can be the start of an explanation.
 """
-
-from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The residual r = V - Vhat and its regressors, at the rows that count.
 
 Vhat_j = k_j (1 + lag_j d/dt) torque_j + ke N_j qd_j. Voltage, model and every regressor pass the same second filter,

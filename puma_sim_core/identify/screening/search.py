@@ -1,12 +1,9 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The screening on filtered motion, in volts.
 
 The parameters are retuned with the effects chosen so far, the noise is estimated on the residual, and every hypothesis
 of the library is scored by its gain of evidence. `selection` tries the best ones in the model.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,12 +1,9 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Which hypotheses are worth a trial in the model: a short list by two screenings.
 
 One is of filtered motion, which is quick and has no power against delays, lags and backlash; one is of the innovations,
 which feedback does not bias.
 """
-
-from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 

@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Cross-validation: errors of models at rows that their parameters were not fitted to.
 
 A log is cut into four folds, each predicted by the model fitted to the other three (Stone 1974, J. R. Statist. Soc. B

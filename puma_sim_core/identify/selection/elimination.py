@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Backward elimination: chosen effects, fitted again with the later ones in the model."""
-
-from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace

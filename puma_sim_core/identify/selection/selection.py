@@ -1,13 +1,10 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Which effects the log asks for: forward selection with replacements and backward elimination.
 
 A stage is a list of passes, `Selection.stage`; each takes a `SelectionState` and gives another one. It screens the
 library on filtered motion, which is quick, and on innovations, which feedback cannot deceive. The few that are left are
 fitted in the model (`fitting.trials`), and ranked by their gain of log likelihood less the Occam factor.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace

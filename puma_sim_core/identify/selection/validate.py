@@ -1,12 +1,9 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Errors before and after: of voltages, and of positions in open loop.
 
 In windows of half a second the model gets the voltages alone, from the state of its Kalman predictor, which holds what
 no sensor shows. Windows overlap: what happens in a few rows must not fall between two of them.
 """
-
-from __future__ import annotations
 
 from collections.abc import Mapping
 

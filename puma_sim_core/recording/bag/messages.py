@@ -1,13 +1,10 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """What stands in a bag: topics, their quality of service, and messages as CDR bytes.
 
 CDR is the encoding that ROS 2 middleware uses for messages. It is written here with padding
 bytes of zero, so equal messages are equal bytes; `rclpy.serialization` leaves arbitrary bytes
 in the padding. Message types, their definitions and their hashes are those of ROS 2 Jazzy.
 """
-
-from __future__ import annotations
 
 import struct
 from collections.abc import Sequence

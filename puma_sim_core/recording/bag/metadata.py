@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """``metadata.yaml`` of a rosbag2 directory, version 9 (ROS 2 Jazzy)."""
-
-from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Reading of bags that `BagRecorder` wrote."""
-
-from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator

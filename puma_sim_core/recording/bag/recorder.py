@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Recording of a session as a rosbag2 directory, NAME/NAME_0.mcap and NAME/metadata.yaml."""
 
 from __future__ import annotations

@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Recovery of what a killed recorder left."""
-
-from __future__ import annotations
 
 import shutil
 from itertools import chain

@@ -1,13 +1,10 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """One pass over the records of an MCAP file, that of a killed recorder included.
 
 The reader of the `mcap` package needs the index at the end of the file, or takes a cut record
 for a whole one. This pass checks each length against what is there, and says where it stopped.
 Format: the MCAP specification, version 0.
 """
-
-from __future__ import annotations
 
 import io
 import struct

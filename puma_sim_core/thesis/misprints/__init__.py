@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The misprints of the thesis, each with the computation that proves it.
 
 ``errata_CHAPTER.yaml`` says what is printed, what would be right, what is compared and by what; the

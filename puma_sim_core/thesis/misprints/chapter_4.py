@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Proofs of the misprints of chapter 4: the coefficients of the arm in symbols and in numbers."""
-
-from __future__ import annotations
 
 from dataclasses import replace
 

@@ -1,13 +1,10 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Forms of D, C and G: equations 4.9 to 4.47 with their misprints, and the coefficients of section 4.5 for any arm.
 
 The equations stand in `equations.yaml`. In `terms.yaml` each coefficient is a sum of numbers times the functions of
 the thesis (C2S2, S2S3S23 ...: :data:`puma_sim_core.arm.printed_coefficients.BASES`), so that its numbers can be held
 against those of every parameter set.
 """
-
-from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence

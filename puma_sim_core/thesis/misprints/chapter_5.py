@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Proofs of the misprints of chapter 5: motors and the third-order equations."""
-
-from __future__ import annotations
 
 import numpy as np
 

@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Proofs of the misprints of chapter 7: the tuned parameters, PID control, the identified controllers."""
-
-from __future__ import annotations
 
 import math
 from dataclasses import replace

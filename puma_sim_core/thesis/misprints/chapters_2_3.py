@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Proofs of the misprints of chapters 2 and 3 and of appendix A: kinematics and the general equations."""
-
-from __future__ import annotations
 
 from functools import reduce
 

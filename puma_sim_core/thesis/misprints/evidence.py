@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """What proves a misprint: a reference beside the corrected and the printed form.
 
 Errata have two halves: texts and numbers in a YAML file, proofs in the module of their chapter. An
@@ -7,8 +6,6 @@ entry of a file has the fields of :class:`Erratum`. Its ``proof: NAME`` is the f
 which returns the reference, the correct and the printed value; ``given`` holds the arguments
 (``{low: 0, high: 1}`` is a range).
 """
-
-from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping

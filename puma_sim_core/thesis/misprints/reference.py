@@ -1,5 +1,4 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Independent derivation of the rigid body, against which printed equations are held.
 
 It uses neither the thesis's matrices nor the closed form: frames are products of elementary
@@ -7,8 +6,6 @@ rotations and translations, D is the quadratic form of the kinetic energy of bod
 tensor (velocities by cross products), C are the Christoffel symbols of D, and G the derivative of
 the potential energy, both by the complex step (Squire and Trapp, SIAM Review 40, 1998).
 """
-
-from __future__ import annotations
 
 from functools import cache
 

@@ -1,8 +1,5 @@
-# SPDX-License-Identifier: Apache-2.0
-# Copyright the puma-sim contributors
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Misprints in captions, numbers of equations and references: `contents.yaml` says what each place holds."""
-
-from __future__ import annotations
 
 from pathlib import Path
 
