@@ -263,8 +263,11 @@ def build_changing_step(
                 middle = 0.5 * (low + high)
                 if g_low > 0.0:
                     middle = low + (high - low) * g_low / (g_low - g_high)
-                    if not low < middle < high:
-                        break
+                    # where one end is the moment itself, the other end comes to it
+                    if not middle > low:
+                        middle = low + _RESOLUTION * h
+                    elif not middle < high:
+                        middle = high - _RESOLUTION * h
                 y_middle, z_middle = step(x, z, v, middle, stages, p, held, slip)
                 g = margin(y_middle, z_middle, v, model, p, lock, held, slip)
                 if g < 0.0:
