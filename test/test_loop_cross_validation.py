@@ -115,7 +115,7 @@ def test_what_the_other_folds_tell_nothing_of_follows_what_they_do_tell():
 def test_logs_for_validation_are_predicted_as_they_are():
     mechanism = load_mechanism("pendulum")
     problem, rows, predictor = pieces(mechanism, record(mechanism, mechanism.plant()))
-    whole = Problem(problem.sampled, mechanism, (), blocks=False)
+    whole = Problem(problem.sampled, mechanism, None)
     folds = CrossValidation.of(whole, predictor, rows)
     assert len(folds.folds) == 1 and folds.folds[0].unseen
     point = Point(mechanism.start * 1.01, ())
@@ -131,7 +131,8 @@ def test_without_any_window_nothing_is_said_against_a_name():
     mechanism = load_mechanism("pendulum")
     problem, _, predictor = pieces(mechanism, record(mechanism, mechanism.plant()))
     none = [lambda t: np.zeros(len(t), dtype=bool)]
-    whole = Problem(problem.sampled, mechanism, (), blocks=False)
+    whole = problem.at(problem.place)
+    whole.validation[:] = False
     bare = predictor.validated_at(none)
     folds = CrossValidation([Fold(bare, Validation(whole, bare), True)])
     weighting = predictor.unfiltered_weighting(predictor.errors(mechanism.plant()))

@@ -160,5 +160,5 @@ def test_validation_blocks_lie_where_rows_are_like_the_others(height):
     other = problem.like(blow)
     assert other is not problem and not (other.validation | other.guard)[centre - 1 : centre + 2].any()
     assert abs(other.validation.mean() - problem.validation.mean()) < 0.05
-    kept = Problem(problem.sampled, mechanism, (), blocks=False)
+    kept = Problem(problem.sampled, mechanism, None)
     assert kept.like(blow) is kept

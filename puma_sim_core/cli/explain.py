@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         action="extend",
         default=[],
-        help="logs of the validation set, which errors are measured on (default: blocks of LOG)",
+        help="logs outside the analysis, which errors are measured on as well",
     )
     parser.add_argument(
         "--out",

@@ -3,7 +3,7 @@
 
 import os
 import time as clock
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -33,6 +33,7 @@ from puma_sim_core.identify.selection.cross_validation import CrossValidation
 from puma_sim_core.identify.selection.selection import Selection
 from puma_sim_core.identify.selection.state import SelectionState
 from puma_sim_core.identify.selection.validate import rms
+from puma_sim_core.plant.mechanism import Mechanism
 from puma_sim_core.plant.mechanism_file import load_mechanism
 
 #: paths of CSV files or bags, or logs; one or several
@@ -55,8 +56,8 @@ def explain(
     Parameters
     ----------
     logs : paths of CSV files or bags, or `Log` objects; one or several.
-    held_out : further ones that are used for nothing but the errors; without any, blocks of the logs are the validation
-        set.
+    held_out : further ones that are used for nothing but their own errors; nothing else of the result changes. One
+        with a fault of its data is left out, and a note says so.
     plant : "puma560", "pendulum", "slide", or the path of a mechanism file.
     parameters, model : a parameter set, or a model file, to start from.
     columns : channel -> column of the files, such as {"voltage1": "motor_V"}.
@@ -80,12 +81,13 @@ def explain(
     if not fitted:
         raise RecordingError("no log", where="explain", expected="one at least")
     faults, notes = [], []
-    for log in (*fitted, *validation):
+    for log in fitted:
         found, seen = check(log, mechanism)
         faults += found
         notes += [note for note in seen if note not in notes]
+    validation, unusable = usable(validation, mechanism)
     if not faults:
-        stages = Stages(prepare(fitted, validation, mechanism, progress), seed, progress)
+        stages = Stages(prepare(fitted, mechanism, progress), seed, progress, validation)
         state = stages.select()
         faults = wrong_zeros(state.history)
     if faults:
@@ -101,7 +103,7 @@ def explain(
         version=__version__,
         seed=seed,
         position_unit=mechanism.position_unit,
-        notes=(*notes, *explanation.notes),
+        notes=(*notes, *explanation.notes, *unusable),
         seconds=clock.perf_counter() - begin,
     )
 
@@ -111,11 +113,22 @@ def _logs(given: Logs, columns: Mapping[str, str] | None, joints: int) -> list[L
     return [log if isinstance(log, Log) else read_log(log, columns, joints) for log in several]
 
 
-class Stages:
-    """The stages after the preparation of the logs; seed and progress as for `explain`."""
+def usable(held_out: list[Log], mechanism: Mechanism) -> tuple[list[Log], list[str]]:
+    """The held-out logs whose errors can be measured, and a note on each other one."""
+    faults = [(log, check(log, mechanism)[0]) for log in held_out]
+    notes = [f"Held-out log {log.name} is left out. {fault_sentence(found)}" for log, found in faults if found]
+    return [log for log, found in faults if not found], notes
 
-    def __init__(self, prepared: Prepared, seed: int, progress: Callable[[str, float], None]):
+
+class Stages:
+    """The stages after the preparation of the logs; seed, progress and held_out as for `explain`."""
+
+    def __init__(
+        self, prepared: Prepared, seed: int, progress: Callable[[str, float], None], held_out: Sequence[Log] = ()
+    ):
         self.prepared = prepared
+        #: logs outside the analysis with their predictor
+        self.beside = prepared.beside(held_out) if held_out else None
         self.problem = prepared.problem
         self.predictor = prepared.predictor
         self.mechanism = prepared.problem.mechanism
@@ -190,8 +203,12 @@ class Stages:
         # what a remainder leaves in the innovations is no noise, nor is all that came before a name
         noise = np.minimum(volts, p.volts), sensed
         weighted = {"retuned": state.weighted_retuned, "augmented": state.weighted}
-        fit = self.folds.folds[0].validation.errors(plants, residuals, floor, noise)
-        return residuals, {"fit": fit, **self.folds.errors({"nominal": start, **weighted}, floor, noise)}
+        tables = {"fit": self.folds.folds[0].validation.errors(plants, residuals, floor, noise)}
+        tables |= self.folds.errors({"nominal": start, **weighted}, floor, noise)
+        if self.beside is not None:
+            beside = CrossValidation.of(*self.beside, self.prepared.validation)
+            tables["held_out_logs"] = beside.errors({"nominal": start, **weighted}, floor, noise)["held_out"]
+        return residuals, tables
 
     def feedback_bias(self, state: SelectionState) -> FeedbackBias:
         """Whether feedback in the recording biases what was found."""

@@ -39,20 +39,19 @@ class Prepared:
         """For each log which of its rows are of the validation set of a problem."""
         return _validation(problem, len(self.logs))
 
+    def beside(self, logs: Sequence[Log]) -> tuple[Problem, Predictor]:
+        """Logs outside the analysis, all of them the validation set, in the noise of the analysis."""
+        sampled = sample(logs)
+        problem, mechanism = Problem(sampled, self.problem.mechanism, None), self.problem.mechanism
+        noise = self.problem.sampled.position_noise
+        chosen = _validation(problem, len(logs))
+        return problem, Predictor(logs, mechanism, chosen, self.predictor.volts, noise)
 
-def prepare(
-    logs: Sequence[Log],
-    validation: Sequence[Log],
-    mechanism: Mechanism,
-    progress: Callable[[str, float], None] = silent,
-) -> Prepared:
-    """Sample logs, retune the parameters, and make the predictor.
 
-    validation : logs that are used for nothing but the errors; without any, blocks of the logs are.
-    """
-    everything = (*logs, *validation)
-    sampled = sample(everything)
-    problem = Problem(sampled, mechanism, tuple(range(len(logs), len(everything))), blocks=not validation)
+def prepare(logs: Sequence[Log], mechanism: Mechanism, progress: Callable[[str, float], None] = silent) -> Prepared:
+    """Sample logs, retune the parameters, and make the predictor; blocks of the logs are the validation set."""
+    sampled = sample(logs)
+    problem = Problem(sampled, mechanism)
     library = {name: kind for name, kind in KINDS.items() if kind.screening is not None and mechanism.possible(name)}
     search = Search(problem, library, progress)
     progress("retuning", 0.03)
@@ -65,9 +64,8 @@ def prepare(
     noise = np.sqrt([weights[0] for weights in search.noise_of(retuned.residual(), white_only=True)])
     scale = mechanism.drive(mechanism.start).volts_per_torque * np.asarray(mechanism.torque_scale)
     noise = np.clip(noise, FITTING.least_expected_noise * scale, FITTING.greatest_expected_noise * scale)
-    chosen = _validation(problem, len(everything))
-    predictor = Predictor(everything, mechanism, chosen, noise, sampled.position_noise)
-    return Prepared(everything, problem, library, search, retuned, predictor)
+    predictor = Predictor(logs, mechanism, _validation(problem, len(logs)), noise, sampled.position_noise)
+    return Prepared(tuple(logs), problem, library, search, retuned, predictor)
 
 
 def _validation(problem: Problem, logs: int) -> list[RowChoice]:

@@ -16,8 +16,9 @@ VERDICTS = (NOTHING_MISSING, NAMED, NAMED_WITH_REMAINDER, UNNAMED, DATA_FAULT)
 
 NOT_EXCITED = "NOT_EXCITED"
 
-#: rows that errors are measured at: fitted, not fitted, and of these those that the choice of effects has not seen
-PARTS = ("fit", "held_out", "unseen")
+#: rows that errors are measured at: fitted, not fitted, of these those that the choice of effects has not seen, and
+#: logs outside the analysis
+PARTS = ("fit", "held_out", "unseen", "held_out_logs")
 
 
 @dataclass(frozen=True)

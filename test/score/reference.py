@@ -31,7 +31,7 @@ class Bench:
     def __init__(self, path):
         self.mechanism = m = load_mechanism()
         log = read_log(str(path), None, m.joints)
-        prepared = prepare([log], (), m)
+        prepared = prepare([log], m)
         self.problem, self.library, self.search = prepared.problem, prepared.library, prepared.search
         self.retuned, self.predictor = prepared.retuned, prepared.predictor
         self.folds = CrossValidation.of(self.problem, self.predictor, prepared.validation)

@@ -8,7 +8,7 @@ import numpy as np
 from puma_sim_core.effects import KINDS
 from puma_sim_core.identify import result
 from puma_sim_core.identify.report.json import STAGES
-from puma_sim_core.identify.report.text import is_augmented, number, place, scale
+from puma_sim_core.identify.report.text import PART_WORDS, is_augmented, number, place, scale, shown_part
 from puma_sim_core.pages.text import unit_text
 
 #: the verdicts in a word or two
@@ -54,8 +54,8 @@ def is_feigned(e: result.Explanation) -> bool:
 
 def improvement(e: result.Explanation) -> tuple[str, list[tuple[str, float, str]], str] | None:
     """(headline, meters, what they show) of the error before and after; a meter is stage, share [%] and number."""
-    part = "held_out" if "held_out" in e.errors else "fit"
-    if part not in e.errors:
+    part = shown_part(e)
+    if part is None:
         return None
     joint = e.effects[0].joint if e.effects else e.shape.joint if e.shape is not None else None
     what, base, values = "Open-loop position error", e.position_unit, _stages(e.errors[part].position_rms, joint)
@@ -71,7 +71,7 @@ def improvement(e: result.Explanation) -> tuple[str, list[tuple[str, float, str]
         for name, value in values.items()
     ]
     where = "all joints" if joint is None else place(joint)
-    data = "validation set" if part == "held_out" else "fitted data"
+    data = PART_WORDS[part]
     note = "" if added else "; retuned only, nothing added"
     return (
         _times(values["nominal"], values["augmented" if added else "retuned"]),

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from puma_sim_core.effects import KINDS
-from puma_sim_core.identify.report.text import is_augmented, scale
+from puma_sim_core.identify.report.text import PART_WORDS, is_augmented, scale
 from puma_sim_core.identify.result import Drawn, Explanation, NamedEffect, StageErrors
 from puma_sim_core.pages.figure import Figure, Layer
 from puma_sim_core.pages.text import unit_text
@@ -130,7 +130,7 @@ def errors_chart(e: Explanation, part: str, quantity: str) -> Figure | None:
         rows = np.arange(each.size, dtype=float)
         layers.append(Layer("marks", each * factor, rows, label=words, colour=colour, **_MARKS[name]))
     return Figure(
-        f"{what}, {'validation set' if part == 'held_out' else 'fitted data'}",
+        f"{what}, {PART_WORDS[part]}",
         f"root mean square [{unit}]",
         "joint",
         tuple(layers),

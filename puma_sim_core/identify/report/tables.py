@@ -12,6 +12,7 @@ from puma_sim_core.identify.result import Detectable, Explanation, FeedbackBias,
 from puma_sim_core.pages.text import DASH, MINUS, SPACE, unit_text
 
 _PARTS = {
+    "held_out_logs": "Held-out logs, outside the analysis",
     "held_out": "Validation set, not used to fit",
     "unseen": "Validation set, not used to choose the effects either",
     "fit": "Fitted data",

@@ -19,6 +19,13 @@ _HYPHENED = {
     "warm up": "warm-up",
 }
 _MECHANISMS = {"puma560": "PUMA 560"}
+#: the rows that errors are shown for, the most telling first
+PART_WORDS = {"held_out_logs": "held-out logs", "held_out": "validation set", "fit": "fitted data"}
+
+
+def shown_part(e: Explanation) -> str | None:
+    """The part of the errors that is drawn, None without any."""
+    return next((part for part in PART_WORDS if part in e.errors), None)
 
 
 def number(value: float | None, digits: int = 3) -> str:

@@ -37,26 +37,18 @@ class Linear:
 class Problem:
     """Logs, a mechanism, and the rows that count.
 
-    validation_logs : logs that are the validation set as a whole; blocks : whether, without any, blocks of all logs
-    are; place : where each block lies in its period, 0..1. kept (m,) : rows after the second filter; usable (m, J);
-    validation (m,) : rows of the validation set; guard (m,) : rows about its blocks, which count for neither.
+    place : where each block of the validation set lies in its period, 0..1; None: the logs are the validation set as a
+    whole. kept (m,) : rows after the second filter; usable (m, J); validation (m,) : rows of the validation set;
+    guard (m,) : rows about its blocks, which count for neither.
     """
 
-    def __init__(
-        self,
-        sampled: Sampled,
-        mechanism: Mechanism,
-        validation_logs: Collection[int] = (),
-        blocks: bool = True,
-        place: float = SCREENING.residual_places[0],
-    ):
+    def __init__(self, sampled: Sampled, mechanism: Mechanism, place: float | None = SCREENING.residual_places[0]):
         self.sampled, self.mechanism, self.place = sampled, mechanism, place
         self.kept = sampled.kept()
         self.segment: Ints = sampled.segment[self.kept]
         rests = resting(sampled.velocity, sampled.velocity_noise, sampled.step, sampled.cutoffs[1], sampled.stretches)
         self.usable = ~rests[self.kept] & ~self._switching()
-        self.blocks = blocks and not validation_logs
-        self.validation, self.guard = self._validation(validation_logs)
+        self.validation, self.guard = self._validation()
 
     @cached_property
     def voltage(self) -> Floats:
@@ -75,10 +67,14 @@ class Problem:
     def like(self, residual: Floats) -> Problem:
         """This problem, or one whose validation blocks are more like the other rows by the residual (m, J) [V] of the
         retuned model: what happened only there cannot be found."""
-        if not self.blocks or self._unlike(residual) < SCREENING.residual_unlike:
+        if self._unlike(residual) < SCREENING.residual_unlike:
             return self
-        tried = [Problem(self.sampled, self.mechanism, (), True, place) for place in SCREENING.residual_places]
+        tried = [self.at(place) for place in SCREENING.residual_places]
         return min(tried, key=lambda problem: problem._unlike(residual))
+
+    def at(self, place: float) -> Problem:
+        """The same logs with the blocks of the validation set at another place."""
+        return Problem(self.sampled, self.mechanism, place)
 
     def _unlike(self, residual: Floats) -> float:
         """Power of a residual in the validation set, and around it, over that of the rows to fit: the most of any
@@ -101,21 +97,22 @@ class Problem:
             near[max(0, row - reach) : row + reach + 1, j] = True
         return near[self.kept]
 
-    def _validation(self, logs: Collection[int]) -> tuple[Bools, Bools]:
+    def _validation(self) -> tuple[Bools, Bools]:
         """(m,) rows of the validation set, and those about its blocks."""
         s = self.sampled
-        validation = np.isin(self.segment, list(logs))
-        if self.blocks:
-            period = SCREENING.residual_validation_block / SCREENING.residual_validation_share
-            for rows in self.stretches:
-                time = s.time[self.kept[rows]]
-                length = time[-1] - time[0]
-                blocks = max(1, int(round(length / period)))
-                phase = (time - time[0]) / max(length, 1e-9) * blocks
-                away = np.abs(np.mod(phase, 1.0) - self.place)
-                # a place at the end of its period goes on at the start of the next
-                validation[rows] = np.minimum(away, 1.0 - away) < 0.5 * SCREENING.residual_validation_share
+        validation = np.full(len(self.segment), self.place is None)
         guard = np.zeros(len(validation), dtype=bool)
+        if self.place is None:
+            return validation, guard
+        period = SCREENING.residual_validation_block / SCREENING.residual_validation_share
+        for rows in self.stretches:
+            time = s.time[self.kept[rows]]
+            length = time[-1] - time[0]
+            blocks = max(1, int(round(length / period)))
+            phase = (time - time[0]) / max(length, 1e-9) * blocks
+            away = np.abs(np.mod(phase, 1.0) - self.place)
+            # a place at the end of its period goes on at the start of the next
+            validation[rows] = np.minimum(away, 1.0 - away) < 0.5 * SCREENING.residual_validation_share
         reach = int(np.ceil(SCREENING.residual_guard / (s.cutoffs[1] * s.step * s.every)))
         for rows in self.stretches:
             for row in np.flatnonzero(np.diff(validation[rows].astype(int))):

@@ -63,15 +63,15 @@ class CrossValidation:
 
     @classmethod
     def of(cls, problem: Problem, predictor: Predictor, rows: RowChoices) -> CrossValidation:
-        """The folds of a problem whose blocks can be moved, else its one.
+        """The folds of a problem; one for logs that are the validation set as a whole.
 
         rows : gives the validation set of a problem.
         """
-        folds = [Fold(predictor, Validation(problem, predictor), True)]
-        for k in range(1, FOLDS if problem.blocks else 1):
-            moved = Problem(problem.sampled, problem.mechanism, (), True, (problem.place + k / FOLDS) % 1.0)
-            other = predictor.validated_at(rows(moved))
-            folds.append(Fold(other, Validation(moved, other), False))
+        folds, place = [Fold(predictor, Validation(problem, predictor), True)], problem.place
+        if place is not None:
+            for moved in (problem.at((place + k / FOLDS) % 1.0) for k in range(1, FOLDS)):
+                other = predictor.validated_at(rows(moved))
+                folds.append(Fold(other, Validation(moved, other), False))
         return cls(folds)
 
     def position_rms(self, model: WeightedModel) -> Floats:
