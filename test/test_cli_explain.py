@@ -18,10 +18,26 @@ def asked(monkeypatch):
     seen = {"gives": named()}
 
     def explain(
-        logs, *, held_out=(), plant="puma560", parameters=None, model=None, columns=None, seed=0, progress=None
+        logs,
+        *,
+        held_out=(),
+        plant="puma560",
+        parameters=None,
+        model=None,
+        columns=None,
+        seed=0,
+        strict=False,
+        progress=None,
     ):
         seen.update(
-            logs=logs, held_out=held_out, plant=plant, parameters=parameters, model=model, columns=columns, seed=seed
+            logs=logs,
+            held_out=held_out,
+            plant=plant,
+            parameters=parameters,
+            model=model,
+            columns=columns,
+            seed=seed,
+            strict=strict,
         )
         progress("screening", 0.5)
         return seen["gives"]

@@ -7,7 +7,7 @@ import pytest
 from loop_logs import record
 
 from puma_sim_core.effects import parse_effect
-from puma_sim_core.identify.explain import usable, explain
+from puma_sim_core.identify.explain import explain, usable
 from puma_sim_core.identify.report.json import report_text
 from puma_sim_core.plant.mechanism_file import load_mechanism
 

@@ -118,9 +118,9 @@ def test_a_number_that_is_missing_is_left_to_the_gate(file):
     rows = [f"{0.01 * r},{np.sin(r)},{0.01 * r * r}" for r in range(200)]
     rows[17], rows[30] = "0.17,1,nan", "0.3,,1"
     log = read_log(write(file, NAMES, *rows), joints=1)
-    faults, _ = check(log, load_mechanism("pendulum"))
-    assert {(f.channel, f.row) for f in faults} == {("position1", 18), ("voltage1", 31)}
-    assert "line 19" in next(f for f in faults if f.channel == "position1").what
+    cuts = {fault.channel: fault for fault in check(log, load_mechanism("pendulum")).cuts}
+    assert [(cuts[name].row, cuts[name].rows) for name in ("position1", "voltage1")] == [(18, 1), (31, 1)]
+    assert "line 19" in cuts["position1"].what
 
 
 def test_a_row_without_its_end_is_left_out(file):
@@ -161,7 +161,7 @@ from puma_sim_core.identify.checks.gate import check
 from puma_sim_core.identify.data.ingest import read_log
 from puma_sim_core.plant.mechanism_file import load_mechanism
 log = read_log(sys.argv[1])
-_, notes = check(log, load_mechanism())
+notes = check(log, load_mechanism()).notes
 print(len(log), sum(log.time[1:] <= log.time[:-1]), sum("were read" in note for note in notes),
       resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 """

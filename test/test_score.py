@@ -38,7 +38,8 @@ def report(verdict, *effects, shape=None, faults=(), augmented=1.0, retuned=2.0)
         "effects": list(effects),
         "shape": shape,
         "ranking": [],
-        "faults": [{"channel": c, "row": r, "what": "x"} for c, r in faults],
+        "faults": [{"channel": c, "row": r, "what": "x"} for c, r in faults if verdict == "DATA_FAULT"],
+        "cuts": [{"channel": c, "row": r, "what": "x"} for c, r in faults if verdict != "DATA_FAULT"],
         "errors": {"fit": None, **{part: {"position_rms": position} for part in ("held_out", "unseen")}},
     }
 
@@ -136,7 +137,9 @@ def test_faults_by_channel_and_row():
     assert right(gap, "DATA_FAULT", ("time", 420)) == (True, True, False)
     assert right(gap, "DATA_FAULT", ("time", None)) == (True, True, False)
     assert right(gap, "DATA_FAULT", ("voltage1", 400)) == (True, False, False)
-    assert right(gap, "NAMED", ("time", 400)) == (False, False, False)
+    # the log was read without the row
+    assert right(gap, "NAMED", ("time", 400)) == (True, True, True)
+    assert right(gap, "NAMED") == (False, False, False)
     swapped = [{"channel": f"position{j}", "row": None, "what": "swapped"} for j in (1, 3)]
     assert right(swapped, "DATA_FAULT", ("position3", None)) == (True, True, True)
     assert right(swapped, "DATA_FAULT", ("position2", None)) == (True, False, False)

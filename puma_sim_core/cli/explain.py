@@ -41,6 +41,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="logs outside the analysis, which errors are measured on as well",
     )
     parser.add_argument(
+        "--strict", action="store_true", help="refuse a log with rows that cannot be used; default: leave them out"
+    )
+    parser.add_argument(
         "--out",
         metavar="DIR",
         required=True,
@@ -78,6 +81,7 @@ def run(options: argparse.Namespace) -> int:
             model=options.model,
             columns=columns,
             seed=seed,
+            strict=options.strict,
             progress=shown,
         )
         paths = write_explanation(explanation, options.out)

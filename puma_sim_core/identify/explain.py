@@ -49,6 +49,7 @@ def explain(
     model: str | os.PathLike[str] | None = None,
     columns: Mapping[str, str] | None = None,
     seed: int = 0,
+    strict: bool = False,
     progress: Callable[[str, float], None] | None = None,
 ) -> Explanation:
     """What the model lacks, by measured logs.
@@ -62,6 +63,7 @@ def explain(
     parameters, model : a parameter set, or a model file, to start from.
     columns : channel -> column of the files, such as {"voltage1": "motor_V"}.
     seed : of the placebos and of simulated noise.
+    strict : refuse a log with rows that cannot be used, in place of leaving them out.
     progress : called with (what is done, share 0..1).
 
     Returns
@@ -80,14 +82,14 @@ def explain(
     fitted, validation = (_logs(given, columns, mechanism.joints) for given in (logs, held_out))
     if not fitted:
         raise RecordingError("no log", where="explain", expected="one at least")
-    faults, notes = [], []
-    for log in fitted:
-        found, seen = check(log, mechanism)
-        faults += found
-        notes += [note for note in seen if note not in notes]
-    validation, unusable = usable(validation, mechanism)
+    checked = [check(log, mechanism) for log in fitted]
+    cuts = [cut for each in checked for cut in each.cuts]
+    faults = [fault for each in checked for fault in each.faults] or (cuts if strict else [])
+    notes = list(dict.fromkeys(note for each in checked for note in each.notes))
+    beside, unusable = usable(validation, mechanism)
     if not faults:
-        stages = Stages(prepare(fitted, mechanism, progress), seed, progress, validation)
+        parts = [part for each in checked for part in each.parts]
+        stages = Stages(prepare(parts, mechanism, progress), seed, progress, beside)
         state = stages.select()
         faults = wrong_zeros(state.history)
     if faults:
@@ -104,6 +106,7 @@ def explain(
         seed=seed,
         position_unit=mechanism.position_unit,
         notes=(*notes, *explanation.notes, *unusable),
+        cuts=() if faults else tuple(cuts),
         seconds=clock.perf_counter() - begin,
     )
 
@@ -114,10 +117,11 @@ def _logs(given: Logs, columns: Mapping[str, str] | None, joints: int) -> list[L
 
 
 def usable(held_out: list[Log], mechanism: Mechanism) -> tuple[list[Log], list[str]]:
-    """The held-out logs whose errors can be measured, and a note on each other one."""
-    faults = [(log, check(log, mechanism)[0]) for log in held_out]
-    notes = [f"Held-out log {log.name} is left out. {fault_sentence(found)}" for log, found in faults if found]
-    return [log for log, found in faults if not found], notes
+    """What of held-out logs errors can be measured on, and a note on each log that is left out."""
+    checked = [(log, check(log, mechanism)) for log in held_out]
+    refused = [(log, list(found.faults)) for log, found in checked if found.faults]
+    notes = [f"Held-out log {log.name} is left out. {fault_sentence(faults)}" for log, faults in refused]
+    return [part for _, found in checked for part in found.parts], notes
 
 
 class Stages:

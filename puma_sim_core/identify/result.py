@@ -23,16 +23,20 @@ PARTS = ("fit", "held_out", "unseen", "held_out_logs")
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault of the data: channel ("time", "voltage2" ...), first row (1-based; None: all), and what is wrong."""
+    """A fault of the data: channel ("time", "voltage2" ...), first row (1-based; None: all), and what is wrong.
+
+    rows : how many rows from that one on cannot be used, 0 where a log cannot be read across the start of the row.
+    """
 
     channel: str
     row: int | None
     what: str
+    rows: int = 0
 
     @classmethod
-    def of(cls, channel: str, row: int | None, found: str, expected: str) -> Fault:
+    def of(cls, channel: str, row: int | None, found: str, expected: str, rows: int = 0) -> Fault:
         """A fault of what was found in place of what was expected."""
-        return cls(channel, row, f"{found}; expected {expected}")
+        return cls(channel, row, f"{found}; expected {expected}", rows)
 
 
 @dataclass(frozen=True)
@@ -202,3 +206,4 @@ class Explanation:
     seconds: float = 0.0
     version: str = ""
     seed: int = 0
+    cuts: tuple[Fault, ...] = ()  # faults of rows that the logs were read without

@@ -61,7 +61,7 @@ def axis_right(shape: dict | None, outside: dict) -> bool:
 
 
 def fault_right(outcome: dict, faults: list[dict]) -> tuple[bool, bool, bool]:
-    """(verdict, channel, row) of faulty data.
+    """(verdict, channel, row) of faulty data: refused, or read without the rows that are wrong.
 
     A fault that is no one's channel may be said of any. A file that is no table of numbers may be
     refused with an error, which then names column and line.
@@ -74,8 +74,9 @@ def fault_right(outcome: dict, faults: list[dict]) -> tuple[bool, bool, bool]:
         cut = any("ends inside" in fault["what"] for fault in faults)
         named = channels == {None} or cut or any(channel in text for channel in channels if channel)
         return True, named, row is None or row in lines or row + 1 in lines
-    found = outcome["report"]["faults"]
-    if outcome["report"]["verdict"] != "DATA_FAULT" or not found:
+    refused = outcome["report"]["verdict"] == "DATA_FAULT"
+    found = outcome["report"]["faults" if refused else "cuts"]
+    if not found:
         return False, False, False
     if channels == {None}:
         return True, True, True

@@ -1,17 +1,25 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
-"""The gate: a log with a fault of its data is explained by that fault alone.
+"""The gate: rows that cannot be used are left out; a log is refused where a channel is wrong, or too little is left.
 
-In order: numbers that are missing, length, time stamps; rows and runs that no drive can make; channels that are not
-what they are called; a log of another plant. Each check presupposes those before it, and is only made where they found
-nothing. Rows count from 1, the first row of numbers; a fault of a whole channel has none.
+In order: numbers that are missing, and time stamps; channels that are not what they are called; rows and runs that no
+drive can make; a log of another plant. Each check presupposes those before it. A log is split where rows are left out
+or time is missing, and each part is checked again by itself; whole channels are judged by the longest part. Rows count
+from 1, the first row of numbers; a fault of a whole channel has none.
 """
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
-from puma_sim_core.identify.arrays import Bools
+from puma_sim_core.identify.arrays import Bools, runs
 from puma_sim_core.identify.checks.channel_faults import channel_faults, moderate_faults, unexplained
-from puma_sim_core.identify.checks.plausibility import Plausibility, coarse
+from puma_sim_core.identify.checks.plausibility import Coarse, Plausibility, coarse
 from puma_sim_core.identify.checks.row_faults import (
+    first_of_each,
     frozen_positions,
     frozen_voltages,
     jitter_faults,
@@ -21,51 +29,146 @@ from puma_sim_core.identify.checks.row_faults import (
     voltage_spikes,
 )
 from puma_sim_core.identify.data.log import Log
+from puma_sim_core.identify.data.sampling import shortest_span
 from puma_sim_core.identify.result import Fault
 from puma_sim_core.identify.settings import CHECKS
 from puma_sim_core.plant.mechanism import Mechanism
 
+#: faults of a log, or of a part of it
+Finder = Callable[[Log, Plausibility], list[Fault]]
 
-def check(log: Log, mechanism: Mechanism) -> tuple[list[Fault], list[str]]:
-    """Faults of a log's data, none where it can be explained, and notes on what was seen."""
-    notes = list(log.notes)
-    faults = number_faults(log) or _short(log) or time_faults(log)
-    if faults:
-        return faults, notes
+
+@dataclass(frozen=True)
+class Checked:
+    """What of a log can be used.
+
+    parts : the log, or stretches of it without the rows that cannot be used; cuts : faults of rows that were left out;
+    faults : why nothing can be used, none where `parts` can; notes : what else was seen, as sentences.
+    """
+
+    parts: tuple[Log, ...] = ()
+    cuts: tuple[Fault, ...] = ()
+    faults: tuple[Fault, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def check(log: Log, mechanism: Mechanism) -> Checked:
+    """Find the rows of a log that can be used."""
     model = Plausibility(mechanism)
-    c = coarse(log)
+    whole, notes = _complete(log)
+    parts: list[Log] = [whole]
+    cuts: list[Fault] = []
+    for of_rows, find in _STAGES:
+        if of_rows:
+            parts, found, faults = _cut(parts, find, model)
+            cuts += found
+        else:
+            faults = find(max(parts, key=len), model)
+        if faults:
+            return Checked((), tuple(first_of_each(cuts)), tuple(faults), tuple(notes))
+    notes += _still(parts, mechanism)
+    return Checked(tuple(parts), tuple(first_of_each(cuts)), (), tuple(notes))
+
+
+def _complete(log: Log) -> tuple[Log, list[str]]:
+    """The log without channels that nothing needs and that have rows without a number, and notes on it."""
+    optional = {name: getattr(log, name) for name in ("velocity", "current", "setpoint")}
+    gone = {name: None for name, v in optional.items() if v is not None and not np.isfinite(v).all()}
+    notes = [*log.notes, *(f"{name} has rows without a number: not used." for name in gone)]
+    return (replace(log, **gone) if gone else log), notes  # type: ignore[arg-type]
+
+
+def _cut(parts: Sequence[Log], find: Finder, model: Plausibility) -> tuple[list[Log], list[Fault], list[Fault]]:
+    """Parts of a log without the rows that a check finds, the faults of these, and those of whole channels.
+
+    A part with a wrong channel is left out as a whole where it is the smaller share of the rows.
+    """
+    kept, cuts, wrong, left = list[Log](), list[Fault](), list[tuple[Log, list[Fault]]](), list(parts)
+    while left:
+        part = left.pop(0)
+        faults = find(part, model) if _long_enough(part) else [_short(part)]
+        if any(fault.row is None for fault in faults):
+            wrong.append((part, [fault for fault in faults if fault.row is None]))
+        elif faults:
+            cuts += faults
+            left = [*_without(part, faults), *left]
+        else:
+            kept.append(part)
+    if not kept or 2 * sum(len(part) for part, _ in wrong) > sum(map(len, parts)):
+        faults = [fault for _, faults in wrong for fault in faults]
+        return [], cuts, first_of_each([*cuts, *faults[:1]] if cuts else faults)
+    cuts += [replace(fault, row=part.row(0), rows=len(part)) for part, faults in wrong for fault in faults[:1]]
+    return kept, cuts, []
+
+
+def _without(part: Log, faults: Sequence[Fault]) -> list[Log]:
+    """What is left of a part between rows that cannot be used."""
+    bad, starts = np.zeros(len(part), dtype=bool), np.zeros(len(part), dtype=bool)
+    for fault in faults:
+        row = (fault.row or 1) - part.row(0)
+        bad[row : row + fault.rows] = True
+        starts[row] = True
+    edges = np.flatnonzero(starts).tolist()
+    return [part.part(slice(*ends)) for run in runs(~bad) for ends in _between(*run, edges)]
+
+
+def _between(first: int, end: int, edges: Sequence[int]) -> list[tuple[int, int]]:
+    """(first, end) of the stretches of some rows between edges."""
+    inside = [first, *(edge for edge in edges if first < edge < end), end]
+    return list(pairwise(inside))
+
+
+def _numbers_and_times(part: Log, _: Plausibility) -> list[Fault]:
+    return number_faults(part) or time_faults(part)
+
+
+def _named_wrongly(part: Log, model: Plausibility) -> list[Fault]:
+    """Channels that are not what they are called, by the part alone."""
+    c = coarse(part)
     if c is None:
-        what = f"{len(log)} rows of very uneven times"
-        return [Fault.of("time", None, what, "rows that are spread over the log")], notes
-    still = _rests(log, mechanism)
-    if still.all():
+        what = f"{len(part)} rows of very uneven times"
+        return [Fault.of("time", None, what, "rows that are spread over the log")]
+    if _rests(part, model.mechanism).all():
         # a joint in a stop or with a brake rests under any constant voltage
-        driven = [f"position{j + 1}" for j in range(log.joints) if np.ptp(log.voltage[:, j]) > 2.0 * model.unit[j]]
+        driven = [f"position{j + 1}" for j in range(part.joints) if np.ptp(part.voltage[:, j]) > 2.0 * model.unit[j]]
         what = "nothing moves: it stays within"
-        found = [f"{what} {np.ptp(q):.2g} {mechanism.position_unit}" for q in log.position.T]
-        return [f for f in frozen_positions(log, model, c) if f.channel in driven] or [
+        found = [f"{what} {np.ptp(q):.2g} {model.mechanism.position_unit}" for q in part.position.T]
+        return [f for f in frozen_positions(part, model, c) if f.channel in driven] or [
             Fault.of(f"position{j}", None, text, "a motion") for j, text in enumerate(found, 1)
-        ], notes
-    faults = (
-        jitter_faults(log)
-        or channel_faults(model, c)
-        or position_faults(log, model)
-        or frozen_voltages(log, model, c)
-        or moderate_faults(model, c, coarse(log, CHECKS.gate_slow) or c)
-        or frozen_positions(log, model, c)
-        or unexplained(model, c)
-        or voltage_spikes(log, model)
-        or _outside(log, mechanism)
-    )
-    notes += [f"Joint {j + 1} does not move: nothing can be said of it alone." for j in np.flatnonzero(still)]
-    return faults, notes
+        ]
+    return jitter_faults(part) or channel_faults(model, c)
 
 
-def _short(log: Log) -> list[Fault]:
-    if len(log) >= CHECKS.gate_least_rows and not 0.0 <= log.span < CHECKS.gate_least_time:
-        return []
-    what = f"the log is too short: {len(log)} rows over {log.span:.3g} s"
-    return [Fault.of("time", None, what, f"{CHECKS.gate_least_rows} rows and {CHECKS.gate_least_time:g} s at least")]
+def _coarsely(find: Callable[[Log, Plausibility, Coarse], list[Fault]]) -> Finder:
+    """A check that reads the slow part of a log too."""
+
+    def found(part: Log, model: Plausibility) -> list[Fault]:
+        c = coarse(part)
+        return [] if c is None else find(part, model, c)
+
+    return found
+
+
+def _moderate(part: Log, model: Plausibility, c: Coarse) -> list[Fault]:
+    return moderate_faults(model, c, coarse(part, CHECKS.gate_slow) or c)
+
+
+def _of_another_plant(part: Log, model: Plausibility, c: Coarse) -> list[Fault]:
+    return unexplained(model, c)
+
+
+def _long_enough(part: Log) -> bool:
+    return len(part) >= CHECKS.gate_least_rows and part.span >= _needed(part)
+
+
+def _needed(part: Log) -> float:
+    """Time [s] that a part must last: a motion, and what the filters spoil at its ends."""
+    return max(CHECKS.gate_least_time, shortest_span(float(np.median(np.diff(part.time)))) if len(part) > 1 else 0.0)
+
+
+def _short(part: Log) -> Fault:
+    what = f"the log is too short: {len(part)} rows over {part.span:.3g} s from {part.place(0)} on"
+    return Fault.of("time", None, what, f"{CHECKS.gate_least_rows} rows and {_needed(part):.2g} s at least")
 
 
 def _rests(log: Log, mechanism: Mechanism) -> Bools:
@@ -79,15 +182,34 @@ def _rests(log: Log, mechanism: Mechanism) -> Bools:
     return still
 
 
-def _outside(log: Log, mechanism: Mechanism) -> list[Fault]:
-    found = []
+def _outside(log: Log, model: Plausibility) -> list[Fault]:
+    mechanism, found = model.mechanism, list[Fault]()
     for j, (low, high) in enumerate(mechanism.ranges):
         q, room = log.position[:, j], CHECKS.gate_outside * (high - low)
-        rows = np.flatnonzero((q < low - room) | (q > high + room))
-        if rows.size:
-            r = int(rows[0])
-            whole = rows.size > CHECKS.gate_whole * len(q)
+        outside = (q < low - room) | (q > high + room)
+        whole = np.count_nonzero(outside) > CHECKS.gate_whole * len(q)
+        for r, end in runs(outside)[: 1 if whole else None]:
             what = f"{q[r]:.5g} at {log.place(r)}, far outside the joint's range"
             expected = f"{low:.4g} to {high:.4g} {mechanism.position_unit}"
-            found.append(Fault.of(f"position{j + 1}", None if whole else r + 1, what, expected))
+            found.append(Fault.of(f"position{j + 1}", None if whole else log.row(r), what, expected, end - r))
     return found
+
+
+def _still(parts: Sequence[Log], mechanism: Mechanism) -> list[str]:
+    """A note on each joint that rests all the time."""
+    rest = np.all([_rests(part, mechanism) for part in parts], axis=0)
+    return [f"Joint {j + 1} does not move: nothing can be said of it alone." for j in np.flatnonzero(rest)]
+
+
+#: whether a check is of rows or of whole channels, and the check, in their order
+_STAGES: tuple[tuple[bool, Finder], ...] = (
+    (True, _numbers_and_times),
+    (False, _named_wrongly),
+    (True, position_faults),
+    (True, _coarsely(frozen_voltages)),
+    (False, _coarsely(_moderate)),
+    (True, _coarsely(frozen_positions)),
+    (False, _coarsely(_of_another_plant)),
+    (True, voltage_spikes),
+    (True, _outside),
+)

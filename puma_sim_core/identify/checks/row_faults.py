@@ -23,22 +23,20 @@ _VOLTAGE = "the voltage that acted"
 
 def number_faults(log: Log) -> list[Fault]:
     """Numbers that are missing, not finite, or, of `enable`, neither 0 nor 1."""
-    return _first_bad(log, _channels(log), lambda values: ~np.isfinite(values), "finite numbers") or _first_bad(
+    return _bad_numbers(log, _channels(log), lambda values: ~np.isfinite(values), "finite numbers") or _bad_numbers(
         log, _enables(log), lambda values: (values != 0.0) & (values != 1.0), "0 (drive off) or 1"
     )
 
 
-def _first_bad(
+def _bad_numbers(
     log: Log, channels: Iterable[tuple[str, Floats]], wrong: Callable[[Floats], Bools], expected: str
 ) -> list[Fault]:
-    """The first wrong number of each channel, with the number of the others."""
+    """The runs of wrong numbers of each channel."""
     found = []
     for name, values in channels:
-        bad = np.flatnonzero(wrong(values))
-        if bad.size:
-            r = int(bad[0])
+        for r, end in runs(wrong(values)):
             value = "no number" if np.isnan(values[r]) else f"{values[r]:g}"
-            found.append(Fault.of(name, r + 1, f"{value} at {log.place(r)}{_more(bad)}", expected))
+            found.append(Fault.of(name, log.row(r), f"{value} at {log.place(r)}", expected, end - r))
     return found
 
 
@@ -46,11 +44,10 @@ def time_faults(log: Log) -> list[Fault]:
     """Time stamps that stand, go back, leave rows out, or come too slowly; finite numbers."""
     steps = np.diff(log.time)
     found = []
-    for what, bad in (("goes back", np.flatnonzero(steps < 0.0)), ("is repeated", np.flatnonzero(steps == 0.0))):
-        if bad.size:
-            r = int(bad[0]) + 1
+    for what, bad, rows in (("goes back", steps < 0.0, 0), ("is repeated", steps == 0.0, 1)):
+        for r in (np.flatnonzero(bad) + 1).tolist():
             stamps = f"{log.time[r]:.9g} s after {log.time[r - 1]:.9g} s at {log.place(r)}"
-            found.append(Fault.of("time", r + 1, f"{stamps}: time {what}{_more(bad)}", "times that increase"))
+            found.append(Fault.of("time", log.row(r), f"{stamps}: time {what}", "times that increase", rows))
     middle = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0
     if middle > CHECKS.row_slowest:
         expected = f"times in seconds, and rows every {CHECKS.row_slowest} s at least"
@@ -60,12 +57,10 @@ def time_faults(log: Log) -> list[Fault]:
     limit = CHECKS.row_gap_even
     if np.mean(np.abs(steps / middle - 1.0) > CHECKS.row_even) >= CHECKS.row_even_share:
         limit = max(CHECKS.row_gap_uneven, CHECKS.row_gap_tail * float(np.quantile(steps, 0.99)) / middle)
-    gaps = np.flatnonzero(steps > limit * middle)
-    if gaps.size:
-        r = int(gaps[0]) + 1
-        rows = f"about {steps[r - 1] / middle - 1.0:.0f} rows{_more(gaps)}"
-        what = f"a gap of {steps[r - 1]:.4g} s before {log.place(r)}, {rows}"
-        found.append(Fault.of("time", r + 1, what, f"rows every {middle:.4g} s"))
+    for r in (np.flatnonzero(steps > limit * middle) + 1).tolist():
+        missing = f"about {steps[r - 1] / middle - 1.0:.0f} rows"
+        what = f"a gap of {steps[r - 1]:.4g} s before {log.place(r)}, {missing}"
+        found.append(Fault.of("time", log.row(r), what, f"rows every {middle:.4g} s"))
     return found
 
 
@@ -84,7 +79,7 @@ def jitter_faults(log: Log) -> list[Fault]:
     by_clock, by_count = (np.minimum((x / size).T[rows] ** 2, CHECKS.row_jitter_most) for x in (by_clock, by_count))
     if len(by_clock) < CHECKS.row_jitter_rows or by_clock.mean() < CHECKS.row_jitter * by_count.mean():
         return []
-    first = None if uneven.mean() > 0.5 else int(np.flatnonzero(uneven)[0]) + 2
+    first = None if uneven.mean() > 0.5 else log.row(int(np.flatnonzero(uneven)[0]) + 1)
     spread = 100.0 * float(np.std(after[uneven])) / middle
     what = f"the stamps jitter by {spread:.0f} % of a row while the positions move on evenly"
     return [Fault.of("time", first, what, "the times of the samples, or stamps of an even clock")]
@@ -126,16 +121,16 @@ def position_faults(log: Log, model: Plausibility) -> list[Fault]:
                 taken = back
                 name = "a spike" if back == r + 1 else f"a drop-out of {back - r} rows"
                 what = f"{name}: {q[r]:.5g} at {log.place(r)}, {line.excess[r]:.3g} beside its neighbours"
-                found.append(Fault.of(channel, r + 1, what, _MOTION))
+                found.append(Fault.of(channel, log.row(r), what, _MOTION, back - r))
             elif r - start >= CHECKS.row_frozen_rows:
                 rows = f"from {log.place(start + 1)} to {log.place(r - 1)}"
                 what = f"frozen at {q[start]:.6g} {rows}, then a jump by {line.excess[r]:.3g}"
-                found.append(Fault.of(channel, start + 2, what, "a motion that goes on"))
+                found.append(Fault.of(channel, log.row(start + 1), what, "a motion that goes on", r - start - 1))
             else:
                 jumps.setdefault(r, []).append(j)
     for r, joints in jumps.items():
         found += _jump(log, r, joints, lines)
-    return _first_of_each(found)
+    return found
 
 
 @dataclass(frozen=True)
@@ -190,12 +185,12 @@ def _jump(log: Log, r: int, joints: Sequence[int], lines: Sequence[_Line]) -> li
         for line in lines
     )
     found = [
-        Fault.of(f"position{j + 1}", r + 1, f"a jump by {lines[j].excess[r]:.3g} at {log.place(r)}", _MOTION)
+        Fault.of(f"position{j + 1}", log.row(r), f"a jump by {lines[j].excess[r]:.3g} at {log.place(r)}", _MOTION)
         for j in joints
     ]
     if onward:
         what = f"the motion jumps on by {lost:.3g} s at {log.place(r)} while the stamps do not: rows are missing"
-        found.insert(0, Fault.of("time", r + 1, what, "every row, or stamps that show the gap"))
+        found.insert(0, Fault.of("time", log.row(r), what, "every row, or stamps that show the gap"))
     return found
 
 
@@ -226,10 +221,8 @@ def voltage_spikes(log: Log, model: Plausibility) -> list[Fault]:
             felt = visible and seen / travel > CHECKS.row_felt
             if (visible or abs(v[r]) > CHECKS.row_volts_beyond * float(_greatest(v))) and not felt:
                 what = f"a spike: {v[r]:.4g} V at {log.place(r)} between {v[r - 1]:.4g} and {v[r + 1]:.4g} V"
-                found.append(
-                    Fault.of(f"voltage{j + 1}", r + 1, f"{what}, which the joint did not respond to", _VOLTAGE)
-                )
-                break
+                what = f"{what}, which the joint did not respond to"
+                found.append(Fault.of(f"voltage{j + 1}", log.row(r), what, _VOLTAGE, 1))
     return found
 
 
@@ -263,12 +256,11 @@ def frozen_positions(log: Log, model: Plausibility, c: Coarse) -> list[Fault]:
             travel = float(np.abs(push).sum()) * c.step / max(model.speed[j], 1e-12)
             width = float(np.ptp(model.mechanism.ranges[j]))
             if travel > max(CHECKS.row_frozen_travel * width, CHECKS.row_frozen_quanta * log.quantum[j]):
-                row = None if last - first >= CHECKS.row_frozen_whole * len(q) else first + 2
+                row = None if last - first >= CHECKS.row_frozen_whole * len(q) else log.row(first + 1)
                 rows = f"from {log.place(first + 1)} to {log.place(last)}"
                 what = f"frozen at {q[first]:.6g} {rows} while its voltage must move it by {travel:.2g}"
                 expected = "a motion, or a voltage that friction can hold"
-                found.append(Fault.of(f"position{j + 1}", row, what, expected))
-                break
+                found.append(Fault.of(f"position{j + 1}", row, what, expected, last - first))
     return found
 
 
@@ -296,8 +288,7 @@ def frozen_voltages(log: Log, model: Plausibility, c: Coarse) -> list[Fault]:
             if here > max(model.unit[j], CHECKS.row_beside_motion * fit.left):
                 rows = f"from {log.place(first + 1)} to {log.place(last)}"
                 what = f"frozen at {v[first]:.5g} V {rows}, {here:.2g} V beside what the motion takes"
-                found.append(Fault.of(channel, first + 2, what, _VOLTAGE))
-                break
+                found.append(Fault.of(channel, log.row(first + 1), what, _VOLTAGE, last - first))
     return found
 
 
@@ -329,11 +320,7 @@ def _of_joints(group: str, values: Floats | None) -> Iterator[tuple[str, Floats]
     return ((f"{group}{j + 1}", column) for j, column in enumerate([] if values is None else values.T))
 
 
-def _more(rows: Ints) -> str:
-    return "" if len(rows) == 1 else f" and {len(rows) - 1} more"
-
-
-def _first_of_each(found: Sequence[Fault]) -> list[Fault]:
+def first_of_each(found: Sequence[Fault]) -> list[Fault]:
     """The first fault of each channel, with the number of the others."""
     result = []
     for channel in dict.fromkeys(fault.channel for fault in found):

@@ -1,12 +1,18 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """A measured log: times, voltages and positions of a machine, and what else was recorded."""
 
-from dataclasses import dataclass, field
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from puma_sim_core.identify.arrays import Floats, Ints
 from puma_sim_core.identify.settings import DATA
+
+#: what has an entry for each row
+_BY_ROW = ("time", "voltage", "position", "velocity", "current", "setpoint", "enable", "lines")
 
 
 @dataclass(frozen=True)
@@ -17,7 +23,7 @@ class Log:
     velocity, current, setpoint, enable : (n, J), or None where the log has none of them.
     lines (n,) : line of each row in its file, None for a bag.
     quantum (J,) : step of the encoder in `position`, 0.0 where none can be seen.
-    notes : what was left out or changed, as sentences.
+    notes : what was left out or changed, as sentences. first : rows before these in the log that they are a part of.
     """
 
     name: str
@@ -31,6 +37,7 @@ class Log:
     lines: Ints | None = None
     quantum: Floats = field(default_factory=lambda: np.zeros(0))
     notes: tuple[str, ...] = ()
+    first: int = 0
 
     def __post_init__(self) -> None:
         if len(self.quantum) == 0:
@@ -49,9 +56,19 @@ class Log:
         """Time from the first row to the last [s]."""
         return float(self.time[-1] - self.time[0])
 
+    def row(self, index: int) -> int:
+        """Number of the row with an index from 0; rows of a log count from 1."""
+        return self.first + index + 1
+
+    def part(self, rows: slice) -> Log:
+        """Some rows that follow each other, as a log."""
+        own = {name: getattr(self, name) for name in _BY_ROW}
+        taken: dict[str, Any] = {name: None if values is None else values[rows] for name, values in own.items()}
+        return replace(self, **taken, first=self.first + rows.indices(len(self))[0])
+
     def place(self, index: int) -> str:
         """Row and, for a file, line of the row with an index from 0, for sentences."""
-        row = f"row {index + 1}"
+        row = f"row {self.row(index)}"
         return row if self.lines is None else f"{row} (line {self.lines[index]})"
 
 

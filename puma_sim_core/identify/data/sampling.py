@@ -102,6 +102,17 @@ def resting(velocity: Floats, noise: Floats, step: float, cutoff: float, stretch
     return rests
 
 
+def _cutoffs(step: float) -> tuple[float, float]:
+    """Cutoffs [Hz] of the two filters for rows every `step` [s]."""
+    first = min(DATA.sampling_first_cutoff, DATA.sampling_first_share / step)
+    return first, min(DATA.sampling_second_cutoff, DATA.sampling_second_share * first)
+
+
+def shortest_span(step: float) -> float:
+    """Time [s] that a log with rows every `step` [s] must last to be filtered."""
+    return 4.0 * sum(map(filters.edge, _cutoffs(step)))
+
+
 def sample(logs: Sequence[Log]) -> Sampled:
     """Put logs on one grid.
 
@@ -110,9 +121,8 @@ def sample(logs: Sequence[Log]) -> Sampled:
     RecordingError : a log that is too short for its filters.
     """
     step = float(np.median([float(np.median(np.diff(log.time))) for log in logs]))
-    first = min(DATA.sampling_first_cutoff, DATA.sampling_first_share / step)
-    second = min(DATA.sampling_second_cutoff, DATA.sampling_second_share * first)
-    shortest = 4.0 * (filters.edge(first) + filters.edge(second))
+    first, second = _cutoffs(step)
+    shortest = shortest_span(step)
     for log in logs:
         if log.span < shortest:
             raise RecordingError(f"lasts {log.span:.3g} s", where=log.name, expected=f"{shortest:.2g} s at least")

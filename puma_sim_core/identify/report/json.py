@@ -35,6 +35,7 @@ def report_mapping(explanation: result.Explanation) -> dict[str, Any]:
             "errors": {part: _errors(e.errors[part]) if part in e.errors else None for part in result.PARTS},
             "shape": None if e.shape is None else _shape(e.shape),
             "faults": [asdict(each) for each in e.faults],
+            "cuts": [asdict(each) for each in e.cuts],
             "detectability": [_detectable(each) for each in e.detectability],
             "next_experiment": None if e.next_experiment is None else asdict(e.next_experiment),
             "feedback_bias": None if e.feedback_bias is None else _feedback(e.feedback_bias),
