@@ -21,6 +21,9 @@ LOOP_ARGS ?=
 SCORE_COUNT ?= 340
 SCORE_SEED ?= 907000
 SCORE_ARGS ?=
+# machines of make rigs, such as 'xl330 emps' (empty: all), and further options
+RIGS ?=
+RIGS_ARGS ?=
 
 # A sourced ROS installation and the wheels of rclpy in $(VENV) must not mix: neither its modules
 # and libraries, nor a middleware that the wheels do not have. ROS_DOMAIN_ID stays the user's.
@@ -39,7 +42,7 @@ INSTALLED := $(VENV)/.installed$(if $(NUMPY),-numpy-$(NUMPY))
 CANDIDATES := python3.12 python3.11 python3 python3.13 python3.10
 SUITABLE := import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 10))
 
-.PHONY: help run loop test test-all test-long coverage lint docs score bench colcon js-readers clean distclean same-python
+.PHONY: help run loop test test-all test-long coverage lint docs score rigs bench colcon js-readers clean distclean same-python
 
 help:
 	@echo "make run         move the simulated arm down a vertical line over ROS 2, record, replay"
@@ -50,6 +53,7 @@ help:
 	@echo "make lint        ruff, mypy, import-linter, codespell"
 	@echo "make docs        build the documentation site in build/docs; warnings are errors"
 	@echo "make score       explain fresh blind records, print how often that is right (an hour)"
+	@echo "make rigs        explain measured logs of real machines, one page (needs PUMA_SIM_DATA; an hour)"
 	@echo "make bench       speed beside other simulators (in its own environment, $(BENCH_VENV))"
 	@echo "make bench AGAINST=v1  speed beside another revision of this project, in one run"
 	@echo "make colcon      build with colcon, run the installed node with an external controller"
@@ -59,6 +63,7 @@ help:
 	@echo "PYTHON=python3.11  the interpreter to use    NUMPY=1.26  hold NumPy to that release"
 	@echo "VENV=.venv311      another environment       PYTEST_ARGS='-k bag'  passed on to pytest"
 	@echo "SCORE_COUNT=40 SCORE_SEED=907000  records of make score, and the seed of the first"
+	@echo "RIGS='xl330 emps' RIGS_ARGS=--no-invariances  machines of make rigs, and its options"
 	@echo "LOOP_ARGS='--effect joint_spring:joint=3,stiffness=6'  another effect to hide"
 
 # $(1): the folder of the environment
@@ -179,6 +184,15 @@ docs: $(VENV)/.docs
 score: $(INSTALLED)
 	@$(BIN)/python test/score/run.py --count $(SCORE_COUNT) --seed $(SCORE_SEED) --out build/score \
 	    $(SCORE_ARGS)
+
+# Outcomes are kept in build/rigs, as for make score.
+rigs: $(INSTALLED)
+	@if [ ! -d "$${PUMA_SIM_DATA:-}" ]; then \
+	    echo "make: rigs explains measured logs, which are not part of this project:"; \
+	    echo "      PUMA_SIM_DATA=/path/to/the/logs make rigs (docs/rigs.md says which)"; \
+	    exit 1; \
+	fi
+	@$(BIN)/python test/rigs/run.py --out build/rigs $(foreach rig,$(RIGS),--only $(rig)) $(RIGS_ARGS)
 
 # Each peer on its own, and none may move the NumPy or numba that our own rows run on.
 PEERS := mujoco pin roboticstoolbox-python casadi

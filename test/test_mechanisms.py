@@ -205,7 +205,7 @@ def test_known_effects_account_for_the_voltage_that_they_take(name, effects):
 
 
 def test_the_mechanisms_of_the_house():
-    assert mechanism_names() == ["puma560", "pendulum", "slide"]
+    assert mechanism_names() == ["puma560", "dfki_pendulum", "pendulum", "slide"]
     sizes = {name: load_mechanism(name) for name in NAMES}
     assert [len(m.parameters) for m in sizes.values()] == [39, 8, 3]
     for mechanism in sizes.values():
@@ -292,7 +292,7 @@ def test_errors_of_a_file_name_key_and_expectation():
 
 
 def test_errors_of_mechanism_and_model_files(tmp_path):
-    with pytest.raises(ParameterError, match="one of puma560, pendulum, slide"):
+    with pytest.raises(ParameterError, match="one of puma560, dfki_pendulum, pendulum, slide"):
         load_mechanism("puma")
     path = tmp_path / "arm.yaml"
     text = Path(config_path("mechanisms", "puma560.yaml")).read_text()
