@@ -7,6 +7,7 @@ positioning system EMPS (Janot, Gautier and Brunot 2019).
 
 from __future__ import annotations
 
+import gzip
 import os
 from pathlib import Path
 
@@ -81,3 +82,29 @@ def test_emps_lacks_friction_that_differs_by_direction():
     assert left.augmented[0] / size < 0.05
     windows = found.errors["held_out"].position_rms
     assert windows.augmented[0] < 0.3 * windows.retuned[0]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "record, name, joint, parameter, low, high",
+    [("r01_A", "current_limit", 3, "current", 0.5, 0.75), ("r03_A", "input_delay", None, "time", 0.0029, 0.0031)],
+)
+def test_a_log_far_from_the_model_is_explained_where_the_library_can(
+    tmp_path, record, name, joint, parameter, low, high
+):
+    """Of another generator: the servo is at its clip for long, or swings from clip to clip."""
+    log = tmp_path / f"{record}.csv"
+    log.write_bytes(gzip.decompress(Path(DATA, "other_generator", f"{record}.csv.gz").read_bytes()))
+    found = explain(str(log))
+    assert found.verdict == "NAMED" and found.cuts == ()
+    (effect,) = found.effects
+    assert (effect.name, effect.joint) == (name, joint)
+    assert low < effect.parameters[parameter].value < high
+
+
+@pytest.mark.long
+def test_a_log_of_another_machine_stays_one():
+    """No effect of a slide explains the voltages of a pendulum."""
+    path = sorted(Path(DATA, "xl330_pendulum").glob("*.csv"))[-1]
+    found = explain(str(path), plant="slide", columns=PENDULUM)
+    assert found.verdict == "DATA_FAULT" and "cannot be explained" in found.sentence

@@ -32,7 +32,8 @@ def current_limit(signals: Signals, joint: int) -> list[Candidate]:
     drop = over_resistance(signals, joint, signals.voltage[:, joint] - emf * signals.velocity[:, joint])
     resistance = signals.volts_per_torque[joint] * _torque_per_ampere(signals, joint)
     legal = partial(positive, what="current limit", unit="A")
-    return limit_candidates(joint, drop, 2.0 * SHARP, "current", legal, resistance)
+    through = resistance * signals.current[:, joint]
+    return limit_candidates(joint, drop, 2.0 * SHARP, "current", legal, resistance, through)
 
 
 def _torque_per_ampere(signals: Signals, joint: int) -> float:

@@ -24,7 +24,7 @@ from puma_sim_core.identify.outcome import Findings, compose, fault_sentence
 from puma_sim_core.identify.prepare import Prepared, prepare, silent
 from puma_sim_core.identify.residuals.shape import Curve
 from puma_sim_core.identify.residuals.unnamed import Unnamed, remainder
-from puma_sim_core.identify.result import DATA_FAULT, Detectable, Errors, Explanation, FeedbackBias
+from puma_sim_core.identify.result import DATA_FAULT, Detectable, Errors, Explanation, Fault, FeedbackBias
 from puma_sim_core.identify.screening.causal import CausalScreen
 from puma_sim_core.identify.screening.detect import detectable
 from puma_sim_core.identify.screening.hypotheses import candidates, hypotheses
@@ -33,6 +33,7 @@ from puma_sim_core.identify.selection.cross_validation import CrossValidation
 from puma_sim_core.identify.selection.selection import Selection
 from puma_sim_core.identify.selection.state import SelectionState
 from puma_sim_core.identify.selection.validate import rms
+from puma_sim_core.identify.settings import CHECKS
 from puma_sim_core.plant.mechanism import Mechanism
 from puma_sim_core.plant.mechanism_file import load_mechanism
 
@@ -91,7 +92,8 @@ def explain(
         parts = [part for each in checked for part in each.parts]
         stages = Stages(prepare(parts, mechanism, progress), seed, progress, beside)
         state = stages.select()
-        faults = wrong_zeros(state.history)
+        doubts = [doubt for each in checked for doubt in each.doubts]
+        faults = wrong_zeros(state.history) or stages.unexplained(state, doubts)
     if faults:
         explanation = Explanation(DATA_FAULT, fault_sentence(faults), faults=tuple(faults))
     else:
@@ -153,6 +155,21 @@ class Stages:
     def select(self) -> SelectionState:
         """Screening, fits, and selection of effects."""
         return self.selection.run(self.prepared.retuned.theta)
+
+    def unexplained(self, state: SelectionState, doubts: Sequence[Fault]) -> list[Fault]:
+        """The doubts about joints whose voltage the effects found do not explain for most of the time."""
+        if not doubts or not state.chosen:
+            return list(doubts)
+        p, left = self.predictor, np.abs(self._volts(state.model.point))
+        volts = np.concatenate([stretch.voltage[1:] for stretch in p.stretches])
+        found = []
+        for doubt in doubts:
+            j = int(doubt.channel[-1]) - 1
+            rows = p.fit_rows[:, j]
+            size = np.median(np.abs(volts[rows, j] - np.median(volts[rows, j])))
+            if not np.median(left[rows, j]) < CHECKS.channel_another * size:
+                found.append(doubt)
+        return found
 
     def validate(self, state: SelectionState) -> SelectionState:
         """The selection without the effects, weakest first, that do not lower the error in cross-validation."""

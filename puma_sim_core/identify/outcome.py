@@ -56,10 +56,14 @@ def compose(found: Findings) -> result.Explanation:
     names = _named(found)
     volts = found.errors["fit"].voltage_rms
     unnamed = remainder(s, found.curves, found.chance, np.asarray(volts.augmented) / volts.floor)
+    beyond = beyond_noise(found.errors["held_out"].position_rms)
+    if unnamed is None and beyond is not None and found.curves:
+        unnamed = found.curves[0]
     curve = None
     verdict = result.NAMED if names else result.NOTHING_MISSING
-    if unnamed is not None:
+    if unnamed is not None or beyond is not None:
         verdict = result.NAMED_WITH_REMAINDER if names else result.UNNAMED
+    if unnamed is not None:
         best = [(c, c.scored) for c in found.curves[: RESIDUALS.ranked_curves]]
         ranked = ((f"{s.name} (joint {s.joint}) {c.way}".rstrip(), float(s.gain)) for c, s in best)
         curve = describe(unnamed, tuple(ranked))
@@ -68,7 +72,7 @@ def compose(found: Findings) -> result.Explanation:
     unseen = [d for d in found.detectability if not d.excited and (d.name, d.joint) not in keys]
     return result.Explanation(
         verdict,
-        _sentence(verdict, names, curve, found.errors),
+        _sentence(verdict, names, curve, found.errors, beyond),
         names,
         found.errors,
         curve,
@@ -82,6 +86,20 @@ def compose(found: Findings) -> result.Explanation:
         s.model.point.plant(m),
         parameters=_parameters(m, s),
     )
+
+
+def beyond_noise(errors: result.StageErrors) -> tuple[int, float] | None:
+    """The joint (1-based) whose open-loop error is most beyond what the noise makes, and their ratio; None where the
+    error of no joint is clearly beyond it.
+
+    What is called noise may be what a wrong model leaves; in open loop, over half a second, it then makes more than
+    noise would. So a log is explained down to its noise only where these errors are of its size.
+    """
+    floor = np.asarray(errors.floor)
+    ratio = np.where(floor > 0.0, np.asarray(errors.augmented) / np.maximum(floor, 1e-300), 0.0)
+    if not np.nanmax(ratio, initial=0.0) > RESIDUALS.open_loop_beyond:
+        return None
+    return int(np.nanargmax(ratio)) + 1, float(np.nanmax(ratio))
 
 
 def _named(found: Findings) -> tuple[result.NamedEffect, ...]:
@@ -125,7 +143,11 @@ def _because(named: str, trial: Trial, best: Trial) -> str:
 
 
 def _sentence(
-    verdict: str, names: tuple[result.NamedEffect, ...], curve: result.Shape | None, errors: Mapping[str, result.Errors]
+    verdict: str,
+    names: tuple[result.NamedEffect, ...],
+    curve: result.Shape | None,
+    errors: Mapping[str, result.Errors],
+    beyond: tuple[int, float] | None,
 ) -> str:
     volts = errors["held_out"].voltage_rms
 
@@ -136,11 +158,15 @@ def _sentence(
 
     if verdict == result.NOTHING_MISSING:
         return "Nothing is missing that this log could show: the retuned model explains it down to its noise."
+    times = "" if beyond is None else f"the open-loop error of joint {beyond[0]} is {beyond[1]:.3g} times its noise"
+    if verdict == result.UNNAMED and curve is None:
+        return f"Something is missing that no effect of the library explains: {times}."
     if verdict == result.UNNAMED and curve is not None:
         what = f"a curve over {curve.axis} {curve.way}".rstrip()
         if curve.line_hz is not None:
             what = f"a line at {curve.line_hz:.2f} Hz"
-        return f"Something is missing on joint {curve.joint} that no effect of the library explains: {what}."
+        also = f"; {times}" if times else ""
+        return f"Something is missing on joint {curve.joint} that no effect of the library explains: {what}{also}."
     parts = []
     for e in names:
         where = "the whole arm" if e.joint is None else f"joint {e.joint}"
@@ -151,7 +177,7 @@ def _sentence(
     text = f"The model lacks {' and '.join(parts)}"
     if verdict == result.NAMED_WITH_REMAINDER and curve is not None:
         text += f"; beside that something over {curve.axis} of joint {curve.joint} is left that has no name"
-    return text + "."
+    return f"{text}; {times}." if times else f"{text}."
 
 
 def _ranking(s: SelectionState, names: tuple[result.NamedEffect, ...]) -> tuple[result.Ranked, ...]:

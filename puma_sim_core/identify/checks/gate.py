@@ -43,13 +43,15 @@ class Checked:
     """What of a log can be used.
 
     parts : the log, or stretches of it without the rows that cannot be used; cuts : faults of rows that were left out;
-    faults : why nothing can be used, none where `parts` can; notes : what else was seen, as sentences.
+    faults : why nothing can be used, none where `parts` can; doubts : faults of channels that stand unless an effect
+    explains the log; notes : what else was seen, as sentences.
     """
 
     parts: tuple[Log, ...] = ()
     cuts: tuple[Fault, ...] = ()
     faults: tuple[Fault, ...] = ()
     notes: tuple[str, ...] = ()
+    doubts: tuple[Fault, ...] = ()
 
 
 def check(log: Log, mechanism: Mechanism) -> Checked:
@@ -67,7 +69,8 @@ def check(log: Log, mechanism: Mechanism) -> Checked:
         if faults:
             return Checked((), tuple(first_of_each(cuts)), tuple(faults), tuple(notes))
     notes += _still(parts, mechanism)
-    return Checked(tuple(parts), tuple(first_of_each(cuts)), (), tuple(notes))
+    doubts = _coarsely(_of_another_plant)(max(parts, key=len), model)
+    return Checked(tuple(parts), tuple(first_of_each(cuts)), (), tuple(notes), tuple(doubts))
 
 
 def _complete(log: Log) -> tuple[Log, list[str]]:
@@ -209,7 +212,6 @@ _STAGES: tuple[tuple[bool, Finder], ...] = (
     (True, _coarsely(frozen_voltages)),
     (False, _coarsely(_moderate)),
     (True, _coarsely(frozen_positions)),
-    (False, _coarsely(_of_another_plant)),
     (True, voltage_spikes),
     (True, _outside),
 )

@@ -154,11 +154,12 @@ def _line(log: Log, model: Plausibility, j: int, limit: float, volts: float) -> 
     inside = np.clip(slope, np.minimum(before, after), np.maximum(before, after))
     excess = np.r_[0.0, (slope - inside) * steps]
     noise = FITTING.deviation_of_median * float(np.median(np.abs(np.diff(q, 2)))) / np.sqrt(6.0)
-    reach = limit * steps**2
+    # the slopes around are those of rows `around` / 2 + 1 away at the middle: the drive may accelerate all the way
+    reach = 0.5 * (around + 1) * limit * steps**2
     if model.drive.emf[j] > 0.0:
         reach = np.minimum(reach, CHECKS.row_fastest * volts / model.speed[j] * steps)
     least = max(CHECKS.row_noise * noise, CHECKS.row_quanta * log.quantum[j], 1e-9)
-    allowed = np.r_[np.inf, np.maximum(reach, least)]
+    allowed = np.r_[np.inf, reach + least]
     rows = np.flatnonzero(np.abs(excess) > allowed)
     return _Line(rows, excess, allowed, np.r_[0.0, 0.5 * (before + after)], np.r_[0.0, np.abs(after - before)])
 
