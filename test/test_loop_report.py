@@ -82,7 +82,7 @@ def test_json_keeps_its_schema(schema, made):
     [
         lambda found: found.update(verdict="MAYBE"),
         lambda found: found.update(verdict="NOTHING_MISSING"),
-        lambda found: found.update(verdict="UNNAMED", effects=[]),
+        lambda found: found.update(shape=parsed(unnamed())["shape"]),
         lambda found: found.update(verdict="DATA_FAULT", effects=[]),
         lambda found: found.pop("seed"),
         lambda found: found.update(surprise=1),

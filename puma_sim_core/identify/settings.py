@@ -82,7 +82,6 @@ class Checks:
     gate_rest_blocks: int = 50  #: blocks whose means count for it
     gate_rest_rows: float = 1e-3  #: and the share of the range for its rows
     gate_outside: float = 0.25  #: positions may be outside their ranges by this share of them
-    gate_whole: float = 0.9  #: share of the rows outside from which on the whole channel is at fault
     gate_slow: float = 2.0  #: scales and offsets must hold for the motion below this frequency [Hz] alone
 
     plausibility_cutoff: float = 6.0  #: motion above this frequency [Hz] is not compared

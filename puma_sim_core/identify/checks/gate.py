@@ -190,7 +190,7 @@ def _outside(log: Log, model: Plausibility) -> list[Fault]:
     for j, (low, high) in enumerate(mechanism.ranges):
         q, room = log.position[:, j], CHECKS.gate_outside * (high - low)
         outside = (q < low - room) | (q > high + room)
-        whole = np.count_nonzero(outside) > CHECKS.gate_whole * len(q)
+        whole = np.count_nonzero(outside) > CHECKS.row_many * len(q)
         for r, end in runs(outside)[: 1 if whole else None]:
             what = f"{q[r]:.5g} at {log.place(r)}, far outside the joint's range"
             expected = f"{low:.4g} to {high:.4g} {mechanism.position_unit}"

@@ -1,0 +1,46 @@
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
+"""What a verdict claims: nothing is missing only where open-loop errors are of the noise's size."""
+
+import numpy as np
+import pytest
+from loop_support import named
+
+from puma_sim_core.effects.shared.limits import limit_candidates
+from puma_sim_core.identify.outcome import beyond_noise
+from puma_sim_core.identify.result import StageErrors
+from puma_sim_core.identify.settings import RESIDUALS
+
+
+def errors(augmented, floor) -> StageErrors:
+    augmented, floor = np.array(augmented, dtype=float), np.array(floor, dtype=float)
+    return StageErrors(nominal=4.0 * augmented, retuned=2.0 * augmented, augmented=augmented, floor=floor)
+
+
+def test_errors_of_the_noise_s_size_are_noise_and_the_worst_joint_is_named():
+    limit = RESIDUALS.open_loop_beyond
+    assert beyond_noise(errors([1.0, 0.99 * limit, 1.0], [1.0, 1.0, 1.0])) is None
+    assert beyond_noise(errors([1.0, 40.0, 2.0], [1.0, 1.0, 0.01])) == (3, pytest.approx(200.0))
+
+
+@pytest.mark.parametrize("floor", [0.0, np.nan])
+def test_a_joint_without_a_floor_says_nothing(floor):
+    assert beyond_noise(errors([1.0, 5.0], [1.0, floor])) is None
+    assert beyond_noise(errors([np.nan, np.nan], [1.0, 1.0])) is None
+
+
+def test_limits_come_from_the_motion_where_hardly_any_of_the_command_comes_through():
+    time = np.linspace(0.0, 10.0, 4000)
+    asked = 40.0 * np.sin(3.0 * time) + 60.0 * np.sin(1.3 * time)
+    through = np.clip(asked, -0.8, 0.8)
+
+    def limits(*args):
+        return [c.grid["current"] for c in limit_candidates(0, asked, 0.1, "current", float, 1.0, *args)]
+
+    by_command, by_both = limits(), limits(through)
+    assert min(by_command) > 0.8 and min(abs(limit - 0.8) for limit in by_both) < 1e-6
+    # an ordinary log has the limits of its command alone
+    assert limits(asked) == by_command
+
+
+def test_explanations_of_tests_are_within_their_noise():
+    assert beyond_noise(named().errors["held_out"].position_rms) is None
