@@ -11,15 +11,20 @@ from puma_sim_core.identify.result import StageErrors
 from puma_sim_core.identify.settings import RESIDUALS
 
 
-def errors(augmented, floor) -> StageErrors:
+def errors(augmented, floor, nominal=4.0) -> StageErrors:
     augmented, floor = np.array(augmented, dtype=float), np.array(floor, dtype=float)
-    return StageErrors(nominal=4.0 * augmented, retuned=2.0 * augmented, augmented=augmented, floor=floor)
+    return StageErrors(nominal=nominal * augmented, retuned=2.0 * augmented, augmented=augmented, floor=floor)
 
 
 def test_errors_of_the_noise_s_size_are_noise_and_the_worst_joint_is_named():
     limit = RESIDUALS.open_loop_beyond
     assert beyond_noise(errors([1.0, 0.99 * limit, 1.0], [1.0, 1.0, 1.0])) is None
     assert beyond_noise(errors([1.0, 40.0, 2.0], [1.0, 1.0, 0.01])) == (3, pytest.approx(200.0))
+
+
+def test_a_log_without_noise_has_no_size_of_noise():
+    assert beyond_noise(errors([1e-7], [1e-10])) is not None
+    assert beyond_noise(errors([1e-7], [1e-10], nominal=1e5)) is None
 
 
 @pytest.mark.parametrize("floor", [0.0, np.nan])

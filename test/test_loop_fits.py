@@ -108,6 +108,7 @@ def test_a_log_without_any_noise_gives_the_truth():
     arm, friction = load_mechanism(), parse_effect("coulomb_friction:joint=2,torque=12")
     # a kind with more to fit comes to its end first here, and turns out to be Coulomb's
     found = explain(record(arm, arm.plant(effects=(friction,)), seconds=6.0))
+    assert found.verdict == "NAMED"
     (named,) = found.effects
     torque = named.parameters["torque"]
     assert (named.name, named.joint) == ("coulomb_friction", 2)

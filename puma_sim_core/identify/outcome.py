@@ -95,8 +95,10 @@ def beyond_noise(errors: result.StageErrors) -> tuple[int, float] | None:
     What is called noise may be what a wrong model leaves; in open loop, over half a second, it then makes more than
     noise would. So a log is explained down to its noise only where these errors are of its size.
     """
-    floor = np.asarray(errors.floor)
-    ratio = np.where(floor > 0.0, np.asarray(errors.augmented) / np.maximum(floor, 1e-300), 0.0)
+    floor, left = np.asarray(errors.floor), np.asarray(errors.augmented)
+    ratio = np.where(floor > 0.0, left / np.maximum(floor, 1e-300), 0.0)
+    # in a log without noise the errors of the steps are left
+    ratio[~(left > RESIDUALS.open_loop_share * np.asarray(errors.nominal))] = 0.0
     if not np.nanmax(ratio, initial=0.0) > RESIDUALS.open_loop_beyond:
         return None
     return int(np.nanargmax(ratio)) + 1, float(np.nanmax(ratio))

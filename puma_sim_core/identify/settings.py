@@ -445,6 +445,7 @@ class Residuals:
     remainder_share: float = 0.003  #: of the first effect's gain, where the residual is near its floor [calibrated]
     #: open-loop error over its noise from which a log is not explained; right ones on seeds 2300 to 2329 reach 6.8
     open_loop_beyond: float = 10.0
+    open_loop_share: float = 0.01  #: share of the nominal model's error below which nothing is left of it
     above_floor: float = 1.5  #: residual over its floor that no model discrepancy makes [calibrated]
     #: what a remainder's gain must exceed the placebos' greatest by: a factor and an addend [nat] [calibrated]
     placebo_factor: float = 1.3
