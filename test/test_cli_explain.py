@@ -145,7 +145,6 @@ def test_the_folder_is_checked_before_the_work(asked, tmp_path, capsys):
     "arguments",
     [
         [],
-        ["a.csv"],
         ["--out", "x"],
         ["a.csv", "--out", "x", "--parameters", "bejczy", "--model", "m"],
         ["a.csv", "--out", "x", "--held-out"],

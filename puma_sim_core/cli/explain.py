@@ -10,6 +10,7 @@ explained together.
   puma-sim explain rig.csv --plant pendulum --columns time=t_s,voltage1=motor_V,position1=q_rad \\
       --out report
   puma-sim explain later.csv --model report/model.yaml --out report2
+  puma-sim explain run.csv --dry-run
 
 The folder gets report.json (config/explain_report.schema.json describes it), report.html for a
 person, and model.yaml, the model with what was found in it, which simulate, sim_node and explain
@@ -44,10 +45,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--strict", action="store_true", help="refuse a log with rows that cannot be used; default: leave them out"
     )
     parser.add_argument(
-        "--out",
-        metavar="DIR",
-        required=True,
-        help="folder for report.json, report.html and model.yaml; made if it does not exist",
+        "--dry-run",
+        action="store_true",
+        help="print what is read, what is left out, and which effects can show; no --out",
+    )
+    parser.add_argument(
+        "--out", metavar="DIR", help="folder for report.json, report.html and model.yaml; made if it does not exist"
     )
     parser.add_argument(
         "--columns",
@@ -64,6 +67,10 @@ def run(options: argparse.Namespace) -> int:
     seed = whole_number(options.seed, "--seed", 0)
     columns = _columns(options.columns)
     _check_logs(options.logs, options.held_out)
+    if options.dry_run:
+        return _dry_run(options, columns)
+    if options.out is None:
+        raise ParameterError("no --out", where="explain", expected="--out DIR, or --dry-run to look at the logs first")
 
     from puma_sim_core.identify.report.output import check_folder, write_explanation
 
@@ -88,6 +95,19 @@ def run(options: argparse.Namespace) -> int:
     print(explanation.sentence)
     for path in paths:
         print(path)
+    return 0
+
+
+def _dry_run(options: argparse.Namespace, columns: dict[str, str] | None) -> int:
+    """Print what the logs hold."""
+    from puma_sim_core.identify.data.ingest import read_log
+    from puma_sim_core.identify.overview import overview
+    from puma_sim_core.plant.mechanism_file import load_mechanism
+
+    mechanism = load_mechanism(options.plant, parameters=options.parameters, model=options.model)
+    for path in (*options.logs, *options.held_out):
+        found = overview(read_log(path, columns, mechanism.joints), mechanism)
+        print("\n".join(found.lines(mechanism.position_unit)))
     return 0
 
 

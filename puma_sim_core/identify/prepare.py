@@ -20,6 +20,11 @@ def silent(what: str, share: float) -> None:
     """Show no progress."""
 
 
+def library_of(mechanism: Mechanism) -> dict[str, Kind]:
+    """name -> effect, of those that are sought on a mechanism."""
+    return {name: kind for name, kind in KINDS.items() if kind.screening is not None and mechanism.possible(name)}
+
+
 @dataclass(frozen=True)
 class Prepared:
     """What the selection starts from.
@@ -52,7 +57,7 @@ def prepare(logs: Sequence[Log], mechanism: Mechanism, progress: Callable[[str, 
     """Sample logs, retune the parameters, and make the predictor; blocks of the logs are the validation set."""
     sampled = sample(logs)
     problem = Problem(sampled, mechanism)
-    library = {name: kind for name, kind in KINDS.items() if kind.screening is not None and mechanism.possible(name)}
+    library = library_of(mechanism)
     search = Search(problem, library, progress)
     progress("retuning", 0.03)
     retuned = search.retune(mechanism.start)

@@ -1,9 +1,9 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The one reader of CSV text: comments, header, numbers, and long files in blocks of rows.
 
-A file is UTF-8 with a comma between fields. Lines that are blank or begin with '#' are skipped; the
-first other line names the columns. Units are those of the columns' names: nothing is converted.
-Errors name the file, the line and the column.
+A file is UTF-8 with a comma between fields, or a semicolon or a tab, and then numbers may have a decimal comma. Lines
+that are blank or begin with '#' are skipped; the first other line names the columns. Units are those of the columns'
+names: nothing is converted. Errors name the file, the line and the column.
 """
 
 import csv
@@ -20,6 +20,8 @@ from puma_sim_core.errors import RecordingError
 
 #: characters that are taken from a file at once
 _CHUNK = 1 << 22
+#: what may stand between fields; the one that splits the names into most of them does
+_DELIMITERS = (",", ";", "\t")
 #: a line that is longer is no row of numbers
 _GREATEST_LINE = 1_000_000
 
@@ -39,6 +41,7 @@ class CsvRows:
 
     names: list[str]  #: of the columns
     names_line: int  #: on which they stand
+    delimiter: str  #: between fields
 
     def __init__(self, path: str | os.PathLike[str]):
         self.path = path
@@ -48,6 +51,7 @@ class CsvRows:
             kept = _rows_among(lines)
             if kept:
                 self.names_line = first + kept[0]
+                self.delimiter = max(_DELIMITERS, key=lines[kept[0]].count)
                 self.names = [name.strip() for name in self._fields(lines[kept[0]], self.names_line)]
                 self._begun = (self.names_line + 1, lines[kept[0] + 1 :])
                 return
@@ -75,19 +79,24 @@ class CsvRows:
 
     def _fields(self, line: str, number: int) -> list[str]:
         try:
-            return next(csv.reader([line]))
+            return next(csv.reader([line], delimiter=self.delimiter))
         except csv.Error as error:
-            raise self._error(f"is not CSV ({error})", "fields between commas", number) from None
+            raise self._error(f"is not CSV ({error})", f"fields between {self.delimiter!r}", number) from None
+
+    def _point(self, text: str) -> str:
+        """The text with decimal points."""
+        return text if self.delimiter == "," else text.replace(",", ".")
 
     def _quick(self, rows: list[str], columns: Sequence[int]) -> np.ndarray | None:
         """Values by NumPy's reader, which gives the bits of float(); None where anything is unusual."""
-        commas = len(self.names) - 1
-        if any(row.count(",") != commas for row in rows):
+        between = len(self.names) - 1
+        if any(row.count(self.delimiter) != between for row in rows):
             return None
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("error")
-                return np.loadtxt(rows, delimiter=",", comments=None, ndmin=2, usecols=columns)
+                text = map(self._point, rows)
+                return np.loadtxt(text, delimiter=self.delimiter, comments=None, ndmin=2, usecols=columns)
         except (ValueError, UserWarning):
             return None
 
@@ -98,7 +107,7 @@ class CsvRows:
             raise self._error(what, f"{len(self.names)} numbers, one a column", number)
         values = []
         for column in columns:
-            field = fields[column].strip()
+            field = self._point(fields[column].strip())
             try:
                 # float() takes 1_000, as Python's own numbers do
                 values.append(nan if not (field or finite) else float(field.replace("_", "x")))

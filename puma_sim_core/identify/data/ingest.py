@@ -3,8 +3,9 @@
 
 Channels: ``time`` [s], ``voltage1..J`` [V], ``position1..J`` [rad or m], and, where there are any, ``velocity1..J``,
 ``current1..J``, ``setpoint1..J``, ``enable`` or ``enable1..J`` (0: the drive is off and no current flows). The voltage
-of a row is the commanded one and holds until the next row; the position of a row is the one at its time. Gaps and NaN
-are taken over: `gate` judges them. Rows count from 1, the first row of numbers.
+of a row is the commanded one and holds until the next row; the position of a row is the one at its time. A unit behind
+the name of a time, voltage or position is converted (t_ms, q1_deg). Gaps and NaN are taken over: `gate` judges them.
+Rows count from 1, the first row of numbers.
 """
 
 import os
@@ -17,6 +18,7 @@ import numpy as np
 from puma_sim_core.errors import RecordingError
 from puma_sim_core.identify.arrays import Floats, Ints
 from puma_sim_core.identify.data.bag_log import read_bag_log
+from puma_sim_core.identify.data.column_names import suggested, unit_of
 from puma_sim_core.identify.data.log import Log, channels
 from puma_sim_core.identify.settings import DATA
 from puma_sim_core.recording.csv_rows import CsvRows
@@ -54,6 +56,9 @@ def read_log(
     rows = CsvRows(path)
     places, notes = _places(rows, _taken(rows, columns or {}, joints), joints, guessed=not columns)
     table, lines, more = _table(rows, [place for group in places.values() for place in group], greatest_rows)
+    factors = [unit_of(rows.names[place], group)[1] for group, own in places.items() for place in own]
+    notes += _converted(rows, places)
+    table = table * factors
     starts = accumulate(map(len, places.values()), initial=0)
     groups = {group: table[:, a : a + len(own)].copy() for a, (group, own) in zip(starts, places.items())}
     time = groups.pop("time")[:, 0]
@@ -80,6 +85,16 @@ def _table(rows: CsvRows, places: list[int], greatest_rows: int) -> tuple[Floats
         notes.append(f"The last row (line {lines[-1]}) has no line end: it may be cut off and is left out.")
         table, lines = table[:-1], lines[:-1]
     return table, lines, notes
+
+
+def _converted(rows: CsvRows, places: Mapping[str, list[int]]) -> list[str]:
+    """A note on each group that is in another unit than the format's, by the names of its columns."""
+    notes = []
+    for group, own in places.items():
+        units = {unit_of(rows.names[place], group) for place in own}
+        words = " and ".join(sorted(f"{unit} (times {factor:.6g})" for unit, factor in units if factor != 1.0))
+        notes += [f"By the names of its columns, {group} is in {words}: converted."] if words else []
+    return notes
 
 
 def _where(rows: CsvRows) -> str:
@@ -114,6 +129,8 @@ def _taken(rows: CsvRows, columns: Mapping[str, str], joints: int) -> dict[str, 
     for channel in ("time", *(c for group in _REQUIRED for c in channels(group, joints))):
         if channel not in taken:
             expected = f"a column of that name or one given as {channel}=COLUMN; there are {there}"
+            named = ",".join(f"{ours}={theirs}" for ours, theirs in suggested(rows.names, joints).items())
+            expected += f". By their names: --columns {named}" if named and not columns else ""
             raise RecordingError(f"channel '{channel}' is missing", where=where, expected=expected)
     return taken
 

@@ -1,0 +1,67 @@
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
+"""What the name of a column says: the unit behind it, and the channel that it may hold."""
+
+import re
+from collections.abc import Sequence
+from math import pi
+
+#: group of channels -> unit -> factor to the unit of the format
+_UNITS = {
+    "time": {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "voltage": {"v": 1.0, "volts": 1.0, "mv": 1e-3, "nm": 1.0},
+    "position": {"rad": 1.0, "deg": pi / 180.0, "mrad": 1e-3, "m": 1.0, "mm": 1e-3, "turns": 2.0 * pi, "rev": 2.0 * pi},
+}
+#: a unit behind a name: position_deg, position [deg], position (deg)
+_BEHIND = re.compile(r"(?P<name>.+?)(?:_|\s*[\[(])(?P<unit>[A-Za-z.]+)[\])]?")
+#: words that a column of a group is called, the most telling first
+_WORDS = {
+    "time": ("time", "t", "stamp", "timestamp", "seconds", "clock"),
+    "voltage": (
+        "voltage",
+        "volts",
+        "volt",
+        "motor",
+        "u",
+        "vir",
+        "v",
+        "tau_meas",
+        "tau_cmd",
+        "tau",
+        "torque",
+        "command",
+    ),
+    "position": ("position", "pos", "q", "q_meas", "theta", "angle", "x"),
+}
+
+
+def unit_of(name: str, group: str) -> tuple[str, float]:
+    """(unit behind a column's name, factor to the unit of the format) of a group; ("", 1.0) without one."""
+    _, unit = _split(name, group)
+    return unit, _UNITS[group][unit.lower()] if unit else 1.0
+
+
+def _split(name: str, group: str) -> tuple[str, str]:
+    """(name of a column without its unit, the unit), which is "" for one that the group does not know."""
+    found = _BEHIND.fullmatch(name.strip())
+    unit = found["unit"].replace(".", "") if found else ""
+    return (found["name"], unit) if found and unit.lower() in _UNITS.get(group, {}) else (name.strip(), "")
+
+
+def suggested(names: Sequence[str], joints: int) -> dict[str, str]:
+    """Channel -> column, for the time, the voltages and the positions, by the names of columns; {} where one is not
+    found."""
+    wanted = [("time", ""), *((group, str(j + 1)) for group in ("voltage", "position") for j in range(joints))]
+    found = {f"{group}{number}": _best(names, group, number, joints) for group, number in wanted}
+    complete = all(found.values()) and len(set(found.values())) == len(found)
+    return {channel: column for channel, column in found.items() if column} if complete else {}
+
+
+def _best(names: Sequence[str], group: str, number: str, joints: int) -> str | None:
+    numbers = {number, ""} if joints == 1 or not number else {number}
+    ranked = []
+    for place, name in enumerate(names):
+        bare = _split(name, group)[0].lower()
+        letters, digits = re.sub(r"\d", "", bare), re.sub(r"\D", "", bare)
+        if letters in _WORDS[group] and digits in numbers:
+            ranked.append((_WORDS[group].index(letters), place, name))
+    return min(ranked)[2] if ranked else None
