@@ -83,7 +83,7 @@ def test_the_quick_reader_is_used_for_what_the_simulator_writes(tmp_path, monkey
     write_csv(recording, tmp_path / "run.csv")
 
     lines, reader = [], csv.reader
-    monkeypatch.setattr(csv, "reader", lambda rows: lines.extend(rows) or reader(rows))
+    monkeypatch.setattr(csv, "reader", lambda rows, **how: lines.extend(rows) or reader(rows, **how))
     read = read_csv(tmp_path / "run.csv", GROUPS)
     assert len(lines) == 1  # the names: no row is read by itself
     assert list(dict(read.columns())) == list(dict(recording.columns()))
