@@ -90,11 +90,13 @@ def _cut(parts: Sequence[Log], find: Finder, model: Plausibility) -> tuple[list[
     while left:
         part = left.pop(0)
         faults = find(part, model) if _long_enough(part) else [_short(part)]
-        if any(fault.row is None for fault in faults):
-            wrong.append((part, [fault for fault in faults if fault.row is None]))
-        elif faults:
+        of_channels = [fault for fault in faults if fault.row is None]
+        pieces = [] if of_channels else _without(part, faults)
+        if of_channels:
+            wrong.append((part, of_channels))
+        elif [len(piece) for piece in pieces] != [len(part)]:
             cuts += faults
-            left = [*_without(part, faults), *left]
+            left = [*pieces, *left]
         else:
             kept.append(part)
     if not kept or 2 * sum(len(part) for part, _ in wrong) > sum(map(len, parts)):
