@@ -1,14 +1,20 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """What a verdict claims: nothing is missing only where open-loop errors are of the noise's size."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from loop_logs import record
 from loop_support import named
 
 from puma_sim_core.effects.shared.limits import limit_candidates
+from puma_sim_core.identify import explain
+from puma_sim_core.identify.checks.gate import check
 from puma_sim_core.identify.outcome import beyond_noise
 from puma_sim_core.identify.result import StageErrors
 from puma_sim_core.identify.settings import RESIDUALS
+from puma_sim_core.plant.mechanism_file import load_mechanism
 
 
 def errors(augmented, floor, nominal=4.0) -> StageErrors:
@@ -49,3 +55,16 @@ def test_limits_come_from_the_motion_where_hardly_any_of_the_command_comes_throu
 
 def test_explanations_of_tests_are_within_their_noise():
     assert beyond_noise(named().errors["held_out"].position_rms) is None
+
+
+@pytest.mark.long
+def test_voltages_that_no_effect_explains_refuse_a_log():
+    mechanism = load_mechanism("pendulum")
+    log = record(mechanism, mechanism.plant(), volts=0.05, noise=2e-4)
+    t = log.time[:, None]
+    other = replace(log, voltage=3.0 * np.sin(5.1 * t) + 2.0 * np.sin(0.7 * t + 1.0))
+    assert not check(log, mechanism).doubts
+    found = check(other, mechanism)
+    assert not found.faults and [doubt.channel for doubt in found.doubts] == ["voltage1"]
+    refused = explain(other, plant="pendulum")
+    assert refused.verdict == "DATA_FAULT" and refused.faults == found.doubts
