@@ -1,5 +1,5 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
-"""`--share n/m`: of the files with tests that are marked long, every m-th from the n-th on.
+"""`--share n/m`: the n-th of m shares of the files with tests that are marked long, about equally long.
 
 Two interpreters that run side by side share these tests out: their numbers are the same on any.
 Those of a file stay together, since they may share what it took long to make.
@@ -17,13 +17,27 @@ settings.register_profile("project", deadline=None, derandomize=True)
 settings.load_profile("project")
 
 
+#: files whose long tests take longest, the longest first: they are dealt out first, to and fro
+LONGEST = (
+    "test_loop_blind",
+    "test_user_effects",
+    "test_docs",
+    "test_loop_rigs",
+    "test_thesis_report",
+    "test_excite",
+    "test_ros_loop_demo",
+    "test_loop_fits",
+    "test_loop_shapes",
+)
+
+
 def pytest_addoption(parser):
     parser.addoption(
         "--share",
         default=(1, 1),
         metavar="N/M",
         type=_share,
-        help="of the files with tests marked long, every M-th from the N-th on",
+        help="the N-th of M shares of the files with tests marked long",
     )
 
 
@@ -38,8 +52,10 @@ def _share(text: str) -> tuple[int, int]:
 def pytest_collection_modifyitems(config, items):
     number, of = config.getoption("--share")
     long = [item for item in items if item.get_closest_marker("long")]
-    files = sorted({item.path for item in long})[number - 1 :: of]
-    others = {id(item) for item in long if item.path not in files}
+    order = {name: place for place, name in enumerate(LONGEST)}
+    files = sorted({item.path for item in long}, key=lambda path: (order.get(path.stem, len(order)), path))
+    turns = [*range(1, of + 1), *range(of, 0, -1)]
+    others = {id(item) for item in long if turns[files.index(item.path) % len(turns)] != number}
     left = [item for item in items if id(item) in others]
     if left:
         config.hook.pytest_deselected(items=left)

@@ -92,6 +92,7 @@ def test_peers_move_the_same_arm(peer):
         np.testing.assert_allclose(peer_row.run(), end, rtol=0.0, atol=peer_row.tolerance, err_msg=peer_row.label)
 
 
+@pytest.mark.long
 def test_own_rows_move_the_same_arm():
     task = Task.default(0.2)
     with own.helper(task) as child:
@@ -218,6 +219,7 @@ def test_targets_say_reached_not_reached_or_not_measured():
 # the command
 
 
+@pytest.mark.long
 def test_the_command_prints_one_table_and_writes_the_numbers(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(bench, "QUICK_SECONDS", 0.02)
     monkeypatch.setattr(own, "BATCH_RUNS", 8)

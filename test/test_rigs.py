@@ -501,6 +501,7 @@ def bench(tmp_path, data, *more):
     return code, out
 
 
+@pytest.mark.long
 def test_the_bench_from_end_to_end(tmp_path, data, monkeypatch, capsys):
     small_list(tmp_path, variants="true")
     code, out = bench(tmp_path, data, "--invariances", "column_added,logs_reversed")
