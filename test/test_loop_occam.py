@@ -127,3 +127,20 @@ def test_coordinates_are_finite_wherever_the_parameters_are_legal(name):
 def test_an_occam_factor_of_the_screening_is_bounded_by_those_of_its_coefficients(screened, count, wanted):
     scored = Scored("payload", None, 10.0, values={str(n): 1.0 for n in range(count)}, occam=screened)
     assert occam.screened(scored) == wanted
+
+
+def test_a_direction_that_the_log_says_nothing_of_has_no_factor_however_little_it_says():
+    """The same limit from covariances that the prior still shows beside, and from one that rounds it away."""
+    distance, deviation = np.array([0.3, -0.7]), np.array([0.5, 2.0])
+    flat = np.outer(deviation, deviation)  # the sum of both coordinates, per deviation, is all but free
+
+    def of(size):
+        return occam.gaussian(distance, deviation, size * flat)
+
+    # only the difference of the two is held, to nothing but the prior
+    far = distance / deviation
+    expected = (
+        of(1e9) + 0.25 * (far[0] - far[1]) ** 2 - 0.5 * far @ np.linalg.solve(1e9 * np.ones((2, 2)) + np.eye(2), far)
+    )
+    for size in (1e13, 1e16, 1e20, 1e30):
+        assert of(size) == pytest.approx(expected, abs=1e-4)

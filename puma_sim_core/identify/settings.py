@@ -314,6 +314,7 @@ class Fitting:
     no_precision: float = 1e-8
     coordinate_difference: float = 1e-4  #: step of a difference of coordinates, as a share of the size of a parameter
     least_variance_ratio: float = 1e-12  #: least ratio of variances of posterior and prior: keeps the logarithm finite
+    greatest_variance_ratio: float = 1e12  #: variance over the prior's from which a sum of both loses digits that count
 
     # --- trials (`trials`)
     tie: float = 8.0  #: a tie: gains closer than this [nat] [calibrated]

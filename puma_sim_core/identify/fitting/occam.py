@@ -56,7 +56,11 @@ def gaussian(distance: Floats, deviation: Floats, covariance: Floats) -> float:
     # a direction that the log says nothing of has no factor
     ratio = np.linalg.eigvalsh(likely)
     width = 0.5 * float(np.sum(np.log1p(1.0 / np.maximum(ratio, FITTING.least_variance_ratio))))
-    return width + 0.5 * float(far @ np.linalg.solve(both, far))
+    if ratio[-1] < FITTING.greatest_variance_ratio:
+        return width + 0.5 * float(far @ np.linalg.solve(both, far))
+    # where the log says all but nothing the prior's part would be rounded away: axis by axis it is not
+    ratio, axes = np.linalg.eigh(likely)
+    return width + 0.5 * float(((axes.T @ far) ** 2 / (np.maximum(ratio, 0.0) + 1.0)).sum())
 
 
 def _covariance(fit: PredictionFit, fitted: Fitted, own: list[int]) -> Floats:
