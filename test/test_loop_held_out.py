@@ -3,6 +3,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from loop_logs import record
 
@@ -46,6 +47,15 @@ def test_errors_of_a_held_out_log_are_those_of_its_own_motion(logs):
     own, folds = found.errors["held_out_logs"].position_rms, found.errors["held_out"].position_rms
     # the same rows, with the model that was fitted to them as well
     assert 0.5 * folds.augmented[0] < own.augmented[0] < 1.5 * folds.augmented[0] < 0.5 * own.retuned[0]
+
+
+def test_rows_that_a_held_out_log_is_read_without_are_noted(logs):
+    log, _ = logs
+    position = log.position.copy()
+    position[2000] = np.nan
+    kept, (note,) = usable([replace(log, position=position)], load_mechanism("pendulum"))
+    assert [len(part) for part in kept] == [2000, 2999]
+    assert note.startswith("Held-out log own is read without: position1, no number at row 2001")
 
 
 def test_a_faulty_held_out_log_is_left_out_and_named(logs):

@@ -119,11 +119,16 @@ def _logs(given: Logs, columns: Mapping[str, str] | None, joints: int) -> list[L
 
 
 def usable(held_out: list[Log], mechanism: Mechanism) -> tuple[list[Log], list[str]]:
-    """What of held-out logs errors can be measured on, and a note on each log that is left out."""
-    checked = [(log, check(log, mechanism)) for log in held_out]
-    refused = [(log, list(found.faults)) for log, found in checked if found.faults]
-    notes = [f"Held-out log {log.name} is left out. {fault_sentence(faults)}" for log, faults in refused]
-    return [part for _, found in checked for part in found.parts], notes
+    """What of held-out logs errors can be measured on, and notes on the logs and the rows that are left out."""
+    parts, notes = list[Log](), list[str]()
+    for log in held_out:
+        found = check(log, mechanism)
+        parts += found.parts
+        if found.faults:
+            notes.append(f"Held-out log {log.name} is left out. {fault_sentence(list(found.faults))}")
+        else:
+            notes += [f"Held-out log {log.name} is read without: {cut.channel}, {cut.what}." for cut in found.cuts]
+    return parts, notes
 
 
 class Stages:
