@@ -14,12 +14,14 @@ PYTHON ?=
 NUMPY ?=
 TEST_TIMEOUT ?= 600
 PYTEST_ARGS ?=
+# further options of make bench
+BENCH_ARGS ?=
 # processes that share the tests
 WORKERS ?= 2
 LOOP_ARGS ?=
-# records of make score, the seed of the first one (907000 and above), further options
-SCORE_COUNT ?= 340
-SCORE_SEED ?= 907000
+# records of make score, the seed of the first one (920000 and above), further options
+SCORE_COUNT ?= 390
+SCORE_SEED ?= 920000
 SCORE_ARGS ?=
 # machines of make rigs, such as 'xl330 emps' (empty: all), and further options
 RIGS ?=
@@ -42,11 +44,12 @@ INSTALLED := $(VENV)/.installed$(if $(NUMPY),-numpy-$(NUMPY))
 CANDIDATES := python3.12 python3.11 python3 python3.13 python3.10
 SUITABLE := import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 10))
 
-.PHONY: help run loop test test-all test-long coverage lint docs score rigs bench colcon js-readers clean distclean same-python
+.PHONY: help run loop view test test-all test-long coverage lint docs score rigs bench colcon js-readers clean distclean same-python
 
 help:
 	@echo "make run         move the simulated arm down a vertical line over ROS 2, record, replay"
 	@echo "make loop        record a session with a hidden effect, and find and name it from the bag"
+	@echo "make view        show the demonstration in the browser; records it first if it is not there"
 	@echo "make test        run the quick tests, in two processes (WORKERS=2)"
 	@echo "make test-all    run all tests; make test-long: those that take long alone"
 	@echo "make coverage    lines of the core that the quick tests reach"
@@ -62,7 +65,7 @@ help:
 	@echo
 	@echo "PYTHON=python3.11  the interpreter to use    NUMPY=1.26  hold NumPy to that release"
 	@echo "VENV=.venv311      another environment       PYTEST_ARGS='-k bag'  passed on to pytest"
-	@echo "SCORE_COUNT=40 SCORE_SEED=907000  records of make score, and the seed of the first"
+	@echo "SCORE_COUNT=40 SCORE_SEED=920000  records of make score, and the seed of the first"
 	@echo "RIGS='xl330 emps' RIGS_ARGS=--no-invariances  machines of make rigs, and its options"
 	@echo "LOOP_ARGS='--effect joint_spring:joint=3,stiffness=6'  another effect to hide"
 
@@ -127,6 +130,11 @@ run: $(INSTALLED)
 
 loop: $(INSTALLED)
 	@$(BIN)/python examples/sessions/loop.py --out build/loop $(LOOP_ARGS)
+
+# The last session of the demonstration, with the setpoints that its controller noted.
+view: $(INSTALLED)
+	@[ -e build/demo/controller.csv ] || $(BIN)/python examples/sessions/line.py --out build/demo
+	@$(BIN)/puma-sim view "$$(ls -dt build/demo/bag* | head -n 1)" --setpoints build/demo/controller.csv
 
 # The kernel is compiled before the tests, so that no test waits for it.
 $(VENV)/.compiled: $(INSTALLED)
@@ -196,6 +204,8 @@ rigs: $(INSTALLED)
 
 # Each peer on its own, and none may move the NumPy or numba that our own rows run on.
 PEERS := mujoco pin roboticstoolbox-python casadi
+# for the row of the appraisal over topics
+BENCH_ROS := ros-jazzy-rclpy[fastrtps] ros-jazzy-common-interfaces
 
 $(BENCH_VENV)/.installed: $(BENCH_VENV)/.created setup.py pyproject.toml
 	@echo "Installing into $(BENCH_VENV) (a few minutes the first time)"
@@ -205,7 +215,7 @@ $(BENCH_VENV)/.installed: $(BENCH_VENV)/.created setup.py pyproject.toml
 	    $$pip install -q -e . > $$log 2>&1 || { cat $$log; exit 1; }; \
 	fi; \
 	$$pip freeze | grep -iE '^(numpy|numba|llvmlite|scipy)==' > $(BENCH_VENV)/constraints.txt; \
-	for peer in $(PEERS); do \
+	for peer in $(PEERS) $(BENCH_ROS); do \
 	    $$pip install -q --prefer-binary -c $(BENCH_VENV)/constraints.txt "$$peer" \
 	        > "$(BENCH_VENV)/$$peer.log" 2>&1 \
 	        || echo "$$peer cannot be installed here (see $(BENCH_VENV)/$$peer.log): no row of it"; \
@@ -213,7 +223,7 @@ $(BENCH_VENV)/.installed: $(BENCH_VENV)/.created setup.py pyproject.toml
 	@touch $@
 
 bench: $(BENCH_VENV)/.installed
-	@$(BENCH_VENV)/bin/python $(if $(AGAINST),benchmarks/against.py $(AGAINST),-m benchmarks)
+	@$(BENCH_VENV)/bin/python $(if $(AGAINST),benchmarks/against.py $(AGAINST),-m benchmarks) $(BENCH_ARGS)
 
 $(VENV)/.colcon: $(INSTALLED)
 	@$(BIN)/python -m pip install -q colcon-common-extensions colcon-ros catkin-pkg \

@@ -16,7 +16,7 @@ VERSION = re.search(
 
 README = ROOT / "README.md"
 
-CONFIG_FILES = sorted(path for path in (ROOT / "config").rglob("*") if path.suffix in (".yaml", ".json"))
+CONFIG_FILES = sorted(path for path in (ROOT / "config").rglob("*") if path.suffix in (".yaml", ".json", ".rviz"))
 
 
 def _share_files():
@@ -55,7 +55,7 @@ setup(
     package_dir={"puma_sim_core.config": "config"},
     package_data={
         # texts and tables of the thesis, sentences about effects, templates of the pages
-        "puma_sim_core": ["py.typed", "**/*.yaml", "**/*.html", "**/*.css", "*.pyi"],
+        "puma_sim_core": ["py.typed", "**/*.yaml", "**/*.html", "**/*.css", "**/*.js", "*.pyi"],
         "puma_sim_ros": ["py.typed", "*.yaml"],
         "puma_sim_core.config": [path.relative_to(ROOT / "config").as_posix() for path in CONFIG_FILES],
     },
@@ -63,6 +63,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         *_share_files(),
+        (f"share/{NAME}/launch", ["launch/sim.launch.py", "launch/demo.launch.py"]),
     ],
     zip_safe=False,
     install_requires=[
@@ -77,18 +78,30 @@ setup(
     ],
     extras_require={
         "fast": ["numba"],
+        # jobs on a cluster: --scheduler
+        "cluster": ["dask[distributed]", "threadpoolctl"],
+        # pages in the browser; viser carries its own client, so that no network is needed
+        "view": ["viser>=1.1,<2"],
+        # shells complete the command line
+        "completion": ["argcomplete>=3"],
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
         "lint": ["ruff>=0.17", "mypy>=2.4", "import-linter>=2.16", "codespell>=2.4", "pre-commit"],
         "docs": ["sphinx>=7", "myst-parser"],
         "test": [
+            "argcomplete>=3",
             "pytest",
             "pytest-timeout",
             "pytest-xdist",
             "pytest-cov",
+            "control>=0.10.2",
             "hypothesis",
             "jsonschema",
             "mcap-ros2-support",
             "mujoco>=3.7",
+            "pin",
+            "dask[distributed]",
+            "threadpoolctl",
+            "viser>=1.1,<2",
             "catkin-pkg",
             "setuptools>=64",
             "wheel",
@@ -99,6 +112,9 @@ setup(
             "puma-sim = puma_sim_core.cli:main",
             "sim_node = puma_sim_ros.sim_node:main",
             "external_controller = puma_sim_ros.external_controller:main",
+            "viewer = puma_sim_ros.viewer:main",
+            "appraise = puma_sim_ros.appraise:main",
+            "appraised_controller = puma_sim_ros.appraised_controller:main",
         ]
     },
     # `ros2 run` looks in lib/<package>. colcon calls `setup.py install` or `develop`, which obey

@@ -10,12 +10,13 @@ import platform
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from importlib import metadata
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks import c_reference, mujoco_peer, own, table
+from benchmarks import c_reference, mujoco_peer, own, table, topics, trials
 from benchmarks.measure import first_calls, measured, quiet, terminal_progress
 from benchmarks.task import Row, Task, Unavailable
 from puma_sim_core import __version__
@@ -78,7 +79,8 @@ class Bench:
         else:
             self.rows += rows
             self.positions += positions
-            self.versions.update({package: metadata.version(package) for package in packages})
+            names = [package.partition(">=")[0] for package in packages]
+            self.versions.update({name: metadata.version(name) for name in names})
 
     def differences(self) -> list[float | None]:
         """Greatest distance [rad] of each row's final positions from ours."""
@@ -95,12 +97,13 @@ class Bench:
 
 
 def installed(package: str) -> bool:
-    """Whether a distribution of this name is there."""
+    """Whether a distribution is there, such as "numba", or "pin>=3" of its release 3 and above."""
+    name, _, least = package.partition(">=")
     try:
-        metadata.version(package)
+        found = metadata.version(name)
     except metadata.PackageNotFoundError:
         return False
-    return True
+    return not least or int(found.partition(".")[0]) >= int(least)
 
 
 def targets(bench: Bench, times: np.ndarray, imports: dict[str, list[float]]) -> list[table.Target]:
@@ -115,6 +118,10 @@ def targets(bench: Bench, times: np.ndarray, imports: dict[str, list[float]]) ->
         if labels[2:]:
             ratio = ratio * cost[labels[3]] / cost[labels[2]]
         return table.Spread.of(ratio)
+
+    def real_time(label: str) -> table.Spread | None:
+        """Simulated time over elapsed time."""
+        return table.Spread.of(1.0 / cost[label]) if label in cost else None
 
     cores = own.core_count()
     Target = table.Target
@@ -139,6 +146,9 @@ def targets(bench: Bench, times: np.ndarray, imports: dict[str, list[float]]) ->
             False,
             0.85,
         ),
+        Target("appraisal, PID in the kernel: times real time", real_time(trials.COMPILED), False, 1500.0),
+        Target("appraisal, PID as an object: times real time", real_time(trials.OBJECT), False, 150.0),
+        Target("appraisal over topics: times real time", real_time(topics.LABEL), False, 20.0),
         *(
             Target(f"import {module} without numba", table.Spread.of(seconds), True, 0.3, " s")
             for module, seconds in imports.items()
@@ -216,8 +226,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     progress = terminal_progress()
 
     bench = Bench(task, progress)
-    with own.helper(task) as child:
+    with own.helper(task) as child, ExitStack() as others:
         bench.add("puma_sim", lambda task: own.rows(task, child))
+        bench.add("puma_sim appraise", trials.rows)
+        bench.add("puma_sim over topics", lambda _: others.enter_context(topics.rows()))
         bench.add("C", lambda task: c_reference.rows(task, own.core_count()))
         for name in names:
             peer = importlib.import_module(f"{__package__}.{name}_peer")

@@ -8,7 +8,8 @@ import numpy as np
 from benchmarks import denavit_hartenberg, rk4_loop
 from benchmarks.task import Row, Task
 
-PACKAGES = ("pin",)
+#: before release 3 its articulated-body algorithm left armatures out
+PACKAGES = ("pin>=3",)
 
 
 def model_of(task: Task):

@@ -19,7 +19,8 @@ release = version = puma_sim_core.__version__
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax", "derived_pages"]
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
-exclude_patterns = ["_build", "_ext"]
+# the table stands within the page of measures
+exclude_patterns = ["_build", "_ext", "measures_table.md"]
 
 # the theme that ships with Sphinx: nothing else to install or to keep up with
 html_theme = "alabaster"

@@ -44,12 +44,12 @@ from puma_sim_core.servo.servo import ServoConfig as ServoConfig
 from puma_sim_core.simulation.batch import BatchResult as BatchResult
 from puma_sim_core.simulation.batch import InitialState as InitialState
 from puma_sim_core.simulation.batch import run_batch as run_batch
+from puma_sim_core.simulation.conditions import Constraint as Constraint
+from puma_sim_core.simulation.conditions import Limits as Limits
 from puma_sim_core.simulation.replay import Replay as Replay
 from puma_sim_core.simulation.replay import replay as replay
 from puma_sim_core.simulation.session import Session as Session
-from puma_sim_core.simulation.session import SessionConfig as SessionConfig
-from puma_sim_core.simulation.simulator import Constraint as Constraint
-from puma_sim_core.simulation.simulator import Limits as Limits
+from puma_sim_core.simulation.session_config import SessionConfig as SessionConfig
 from puma_sim_core.simulation.simulator import Simulator as Simulator
 from puma_sim_core.tuning.controller_log import ControllerLog as ControllerLog
 from puma_sim_core.tuning.controller_log import read_controller_log as read_controller_log

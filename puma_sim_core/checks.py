@@ -7,7 +7,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from puma_sim_core.errors import ParameterError, PumaSimError
+from puma_sim_core.errors import LISTED, ParameterError, PumaSimError, one_of
 
 
 def is_number(value: object) -> bool:
@@ -23,7 +23,8 @@ def is_number(value: object) -> bool:
 def check_choice(value: object, name: str, choices: Collection[object], where: object = None) -> None:
     """Raise ParameterError for a value that is none of the choices."""
     if isinstance(value, bool) or value not in choices:
-        raise ParameterError(f"{name} {value!r}", where=where, expected=" or ".join(map(str, choices)))
+        expected = " or ".join(map(str, choices)) if len(choices) <= LISTED else one_of(value, choices)
+        raise ParameterError(f"{name} {value!r}", where=where, expected=expected)
 
 
 def check_positive(value: object, name: str, unit: str = "", where: object = None, infinite: bool = False) -> float:
@@ -97,15 +98,23 @@ def check_shapes(shape: str, where: object = None, error: type[PumaSimError] = P
 
 
 class Reader:
-    """Reads entries of a YAML file, names their keys in errors (ParameterError), and gathers their sources."""
+    """Reads entries of a YAML file, names their keys in errors (ParameterError), and gathers their sources.
 
-    def __init__(self, where: str | None):
+    where : the file; places : line and column of its keys, as `files.places_of_keys` gives them.
+    """
+
+    def __init__(self, where: str | None, places: Mapping[str, str] | None = None):
         self.where = where
+        self.places = places or {}
         self.sources: dict[str, str] = {}
 
     def fail(self, key: str, what: str, expected: str) -> NoReturn:
         """Raise, with the place and the key."""
-        place = ": ".join(part for part in (self.where, key) if part)
+        known = key
+        while known and known not in self.places:  # a key that is missing is missing in the one above it
+            known = known.rpartition(".")[0]
+        where = ", ".join(part for part in (self.where, self.places.get(known)) if part)
+        place = ": ".join(part for part in (where, key) if part)
         raise ParameterError(what[:80], where=place or None, expected=expected)
 
     def keys(self, mapping: Any, key: str, names: Collection[str], optional: Collection[str] = ()) -> Mapping[str, Any]:
@@ -115,7 +124,7 @@ class Reader:
         prefix = f"{key}." if key else ""
         for name in mapping:
             if name not in names:
-                self.fail(f"{prefix}{name}", "unknown key", f"one of {', '.join(names)}")
+                self.fail(f"{prefix}{name}", "unknown key", one_of(name, names))
         for name in names:
             if name not in mapping and name not in optional:
                 self.fail(f"{prefix}{name}", "missing", f"this key in {key}" if key else "this key")
@@ -136,14 +145,16 @@ class Reader:
     def number(self, value: Any, key: str, low: float = -math.inf, high: float = math.inf) -> float:
         """A finite number from low to high."""
         if not is_number(value) or not low <= value <= high:
-            bounds = "" if (low, high) == (-math.inf, math.inf) else f" from {low:g} to {high:g}"
-            self.fail(key, f"{value!r}", f"a finite number{bounds}")
+            bounds = "" if low == -math.inf else " above 0" if 0.0 < low < 1e-6 else f" of at least {low:g}"
+            if high < math.inf:
+                bounds = f"{bounds}, at most {high:g}" if 0.0 < low < 1e-6 else f" from {low:g} to {high:g}"
+            self.fail(key, "no value" if value is None else f"{value!r}", f"a finite number{bounds}")
         return float(value)
 
     def numbers(self, values: Any, key: str, count: int, low: float = -math.inf) -> tuple[float, ...]:
         """So many finite numbers of at least low."""
         if not isinstance(values, (list, tuple)) or len(values) != count:
-            self.fail(key, f"{values!r}", f"{count} finite numbers")
+            self.fail(key, "no value" if values is None else f"{values!r}", f"{count} finite numbers")
         return tuple(self.number(value, key, low) for value in values)
 
     def entry(self, entry: Any, key: str, *units: str, further: Collection[str] = ()) -> Mapping[str, Any]:

@@ -1,6 +1,9 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Errors that users meet: each names what is wrong, where it stands and what was expected."""
 
+import difflib
+from collections.abc import Iterable
+
 
 class PumaSimError(ValueError):
     """Base of all errors of the package; its text is ``WHERE: WHAT; expected EXPECTED``.
@@ -52,3 +55,27 @@ class NonFiniteStateError(PumaSimError):
     def __init__(self, step: int, what: str = "the state is no longer finite"):
         self.step = step
         super().__init__(what, where=f"step {step}", expected="finite positions, velocities, currents")
+
+
+#: as many names as an error lists where they stand elsewhere, too
+LISTED = 8
+
+
+def _equally_near(name: str, near: list[str]) -> bool:
+    """Whether two names are equally near to another."""
+    ratios = [difflib.SequenceMatcher(None, each, name).ratio() for each in near]
+    return len(set(ratios)) < len(ratios)
+
+
+def one_of(name: object, known: Iterable[object], listed: str | None = None) -> str:
+    """What was expected in place of a name: the names there are, the nearest first if one is; of many the nearest alone
+    where something else, `listed`, has all of them.
+    """
+    names = list(map(str, known))
+    near = difflib.get_close_matches(str(name), names, n=2)
+    if listed is None or len(names) <= LISTED:
+        first = [] if _equally_near(str(name), near) else near[:1]
+        return f"one of {', '.join([*first, *(each for each in names if each not in first)])}"
+    if not near:
+        return f"one of those of {listed}"
+    return f"{' or '.join(near)}, which {'is' if len(near) == 1 else 'are'} near, or another of {listed}"

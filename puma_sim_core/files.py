@@ -1,13 +1,14 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Files that appear complete or not at all, and YAML with each key once."""
 
+import io
 import os
 import re
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, BinaryIO, TextIO
 
 import yaml
 
@@ -15,8 +16,8 @@ from puma_sim_core.errors import ParameterError, PumaSimError
 
 
 @contextmanager
-def whole_file(path: str | os.PathLike[str], error: type[PumaSimError]) -> Iterator[TextIO]:
-    """A text file to write; it takes the place of `path` when the block ends without an error.
+def whole_bytes(path: str | os.PathLike[str], error: type[PumaSimError]) -> Iterator[BinaryIO]:
+    """A file of bytes to write; it takes the place of `path` when the block ends without an error.
 
     Where `path` is a link, the file that it leads to is replaced; a device or a pipe, which
     nothing may take the place of, is written to.
@@ -26,12 +27,12 @@ def whole_file(path: str | os.PathLike[str], error: type[PumaSimError]) -> Itera
     given, path = path, Path(os.path.realpath(path))
     try:
         if is_special(given):
-            with open(given, "w", encoding="utf-8", newline="") as file:
+            with open(given, "wb") as file:
                 yield file
             return
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
         try:
-            with os.fdopen(handle, "w", encoding="utf-8", newline="") as file:
+            with os.fdopen(handle, "wb") as file:
                 yield file
             # mkstemp makes a file for its owner alone; give it what open() would have given
             mask = os.umask(0)
@@ -46,6 +47,15 @@ def whole_file(path: str | os.PathLike[str], error: type[PumaSimError]) -> Itera
     except OSError as reason:
         what, expected = f"cannot be written ({reason.strerror})", "a path in a folder that can be written"
         raise error(what, where=str(given), expected=expected) from None
+
+
+@contextmanager
+def whole_file(path: str | os.PathLike[str], error: type[PumaSimError]) -> Iterator[TextIO]:
+    """A text file to write, as `whole_bytes` is one of bytes."""
+    with whole_bytes(path, error) as file:
+        text = io.TextIOWrapper(file, encoding="utf-8", newline="")
+        yield text
+        text.detach()  # with all that was written
 
 
 def is_special(path: str | os.PathLike[str]) -> bool:
@@ -94,8 +104,28 @@ def read_yaml(path: str | os.PathLike[str], error: type[PumaSimError] = Paramete
     try:
         text = Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as reason:
-        raise error(f"cannot be read ({reason})", where=str(path), expected="a readable YAML file") from None
+        raise error(
+            f"cannot be read ({getattr(reason, 'strerror', None) or reason})",
+            where=str(path),
+            expected="a readable YAML file",
+        ) from None
     return parse_yaml(text, str(path), error)
+
+
+def places_of_keys(text: str) -> dict[str, str]:
+    """Line and column, as "line 3, column 5", of each key of a YAML text; keys of mappings in one another have a point
+    between them, such as ``body.mass.value``."""
+    found: dict[str, str] = {}
+
+    def walk(node: yaml.Node | None, prefix: str) -> None:
+        if isinstance(node, yaml.MappingNode):
+            for key, value in node.value:
+                name, mark = f"{prefix}{key.value}", key.start_mark
+                found[name] = f"line {mark.line + 1}, column {mark.column + 1}"
+                walk(value, f"{name}.")
+
+    walk(yaml.compose(text, Loader=_StrictLoader), "")
+    return found
 
 
 def yaml_text(mapping: Mapping[str, Any]) -> str:

@@ -1,18 +1,21 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Compiling the kernel: by numba where it is installed, plain Python otherwise.
 
-A process uses one of the two throughout. The environment variable ``PUMA_SIM_KERNEL`` chooses:
-``numba`` (an error where it is missing), ``python``, or ``auto``, the default. Both give the same
-bits: numba's fast-math options stay off, so that no product is fused with a sum, and both call
-the same sine, cosine and exponential of the C library.
+The environment variable ``PUMA_SIM_KERNEL`` chooses: ``numba`` (an error where it is missing), ``python``, or ``auto``,
+the default. Both give the same bits: numba's fast-math options stay off, so that no product is fused with a sum, and
+both call the same sine, cosine and exponential of the C library. So a process may begin with plain Python while another
+one compiles (`compiling`), and change over between two runs.
 """
 
 import hashlib
 import os
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from math import inf
 from pathlib import Path
+from types import CellType, CodeType, FunctionType
 from typing import Any, TypeVar, cast
 
 from puma_sim_core.errors import ParameterError
@@ -55,13 +58,24 @@ def add_source(path: Path) -> None:
         _CACHE = cache_directory() if BACKEND == "numba" else None
 
 
+def _compiler() -> str:
+    """Release of numba and processor that it compiles for: its own cache serves no other."""
+    if BACKEND != "numba":
+        return ""
+    import numba
+    from numba.core.codegen import get_host_cpu_features
+
+    return f"numba {numba.__version__} {get_host_cpu_features()}"
+
+
 def _source_digest() -> str:
-    """Digest of all sources that are compiled together.
+    """Digest of all sources that are compiled together, and of where they stand.
 
     numba's own cache looks only at the file of the function itself, and would go on using an
-    entry whose callee in another file has changed.
+    entry whose callee in another file has changed. It keeps the code of two copies of a file apart,
+    so what one copy of the package has compiled is not there for another.
     """
-    digest = hashlib.sha256(sys.version.encode())
+    digest = hashlib.sha256(f"{sys.version}{_compiler()}{_PACKAGE}".encode())
     for name in _SOURCES:
         path = _PACKAGE / name
         for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
@@ -135,17 +149,78 @@ else:
     inlined = outlined = merged = compiled = _as_it_is
 
 
-def compiles_first() -> bool:
-    """Whether the first run will compile the kernel, for some ten seconds, instead of loading it."""
-    if BACKEND != "numba":
-        return False
-    return _CACHE is None or next(Path(_CACHE).rglob("*.nbi"), None) is None
+#: parts of the kernel, in the order in which they are compiled ahead: an arm whose links follow its motors, one with
+#: drive trains, and what `explain` runs beside them
+PARTS = ("arm", "trains", "identification")
+#: those that run as plain Python for now -> whether they still have to
+_AWAITED: dict[str, Callable[[], bool]] = {}
+_HERE = threading.local()
+
+
+def compiled_mark(part: str) -> Path | None:
+    """The file that says that a part is in the cache; None without a cache."""
+    return None if _CACHE is None else Path(_CACHE) / f"compiled-{part}"
+
+
+def await_compiled(part: str, awaited: Callable[[], bool]) -> None:
+    """Run a part as plain Python as long as `awaited()` is true."""
+    _AWAITED[part] = awaited
+
+
+def is_compiled(part: str) -> bool:
+    """Whether runs that begin now take the compiled form of a part."""
+    if BACKEND == "numba" and part in _AWAITED and not hasattr(_HERE, "compiled") and not _AWAITED[part]():
+        del _AWAITED[part]
+    return BACKEND == "numba" and (part not in _AWAITED or hasattr(_HERE, "compiled"))
+
+
+def kernel_in_use() -> str:
+    """Name of the kernel that runs of an arm that begin now take."""
+    return BACKEND if is_compiled("arm") else "python"
+
+
+@contextmanager
+def compiled_here() -> Iterator[None]:
+    """Take the compiled form in this thread, awaited or not: for one that loads it."""
+    _HERE.compiled = True
+    try:
+        yield
+    finally:
+        del _HERE.compiled
 
 
 def interpreted(function: F) -> F:
     """The plain Python of a function that is inlined elsewhere, for a caller that is not compiled
     (a call would compile it, for a second)."""
     return cast(F, getattr(function, "py_func", function))
+
+
+_PLAIN: dict[Any, Any] = {}
+
+
+def plain(function: F) -> F:
+    """The plain Python of a function and of all that it calls, whatever is compiled of it."""
+    source = getattr(function, "py_func", None)
+    if source is None:
+        return function
+    if function not in _PLAIN:
+        scope = source.__globals__
+        names = {name: plain(scope[name]) for name in _names(source.__code__) if name in scope}
+        cells = tuple(CellType(plain(cell.cell_contents)) for cell in source.__closure__ or ())
+        names["__builtins__"] = scope["__builtins__"]
+        _PLAIN[function] = FunctionType(source.__code__, names, source.__name__, source.__defaults__, cells)
+    return cast(F, _PLAIN[function])
+
+
+def _names(code: CodeType) -> set[str]:
+    """Global names that a code uses, those of functions inside it included."""
+    inner = (_names(constant) for constant in code.co_consts if isinstance(constant, CodeType))
+    return set(code.co_names).union(*inner)
+
+
+def fitting(function: F, table: Table) -> F:
+    """The form of a function that takes a table as it is: compiled for an array, plain Python for a list."""
+    return plain(function) if type(table) is list else function
 
 
 def written(

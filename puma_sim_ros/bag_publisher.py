@@ -2,7 +2,7 @@
 """A bag given back to the topics that it was recorded from, at its own pace or another."""
 
 import argparse
-import importlib
+import importlib.util
 import sys
 import time
 from collections.abc import Sequence
@@ -13,12 +13,21 @@ from rclpy.duration import Duration
 from rclpy.signals import SignalHandlerOptions
 
 from puma_sim_core.errors import BagError, PumaSimError
-from puma_sim_core.recording.bag import iterate_messages
+from puma_sim_core.recording.bag import iterate_messages, names_told
+from puma_sim_core.recording.topics import (
+    ARRAY_COMMANDS,
+    FIXED_FRAMES,
+    JOINT_COMMANDS,
+    STATES,
+    TF_MESSAGE,
+    TOPICS,
+    Topic,
+)
 from puma_sim_ros.messages import qos
 
-#: endings of the topics on which a simulator listens
-_COMMANDS = ("/voltage_controller/commands", "/position_controller/commands", "/joint_commands")
-_LATCHED = ("/sim_node/model", "/robot_description")
+#: topics on which a simulator listens
+_COMMANDS = (*ARRAY_COMMANDS.values(), JOINT_COMMANDS)
+_LATCHED = tuple(topic for topic in TOPICS if topic.latched)
 #: longest wait for a simulator or, where it is said what goes out, for a first subscriber, whom the
 #: middleware announces each 3 s; and the wait for the others, and for them to have found us [s]
 _LONGEST, _OTHERS = 4.0, 1.0
@@ -48,7 +57,15 @@ def publish_bag(path: str | Path, *, rate: float = 1.0, commands_only: bool | No
     if not 0.0 < rate < float("inf"):
         raise BagError(f"rate {rate}", where=path, expected="a finite number above 0")
     recorded = list(iterate_messages(path))
-    commands = [message for message in recorded if message.topic.endswith(_COMMANDS)]
+    names = names_told(recorded)
+
+    def is_one_of(name: str, topics: Sequence[Topic]) -> bool:
+        return any(name == names[t.name] if t.name in names else name.endswith(f"/{t.name}") for t in topics)
+
+    commands = [message for message in recorded if is_one_of(message.topic, _COMMANDS)]
+    if importlib.util.find_spec("tf2_msgs") is None:
+        # where no program can take frames, the rest of the bag is still of use
+        recorded = [message for message in recorded if message.type != TF_MESSAGE]
     if commands_only:
         recorded = commands
     # without handlers of rclpy's: an interruption ends a wait here, not ROS under our feet
@@ -57,11 +74,11 @@ def publish_bag(path: str | Path, *, rate: float = 1.0, commands_only: bool | No
     try:
         publishers = {}
         for topic, kind in {message.topic: message.type for message in recorded}.items():
-            profile = qos(10, latched=topic.endswith(_LATCHED))
+            profile = qos(10, latched=topic == FIXED_FRAMES.name or is_one_of(topic, _LATCHED))
             publishers[topic] = node.create_publisher(_message_type(kind, topic), topic, profile)
 
         def simulator_runs() -> bool:
-            return any(node.count_publishers(topic) > 1 for topic in publishers if topic.endswith("/joint_states"))
+            return any(node.count_publishers(topic) > 1 for topic in publishers if is_one_of(topic, [STATES]))
 
         def heard() -> bool:
             return any(publisher.get_subscription_count() for publisher in publishers.values())

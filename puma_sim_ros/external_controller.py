@@ -8,10 +8,12 @@ program works in realtime and in lockstep. To try another law, copy this file an
 `connect` another object with `reset()` and `update(t, setpoint, measurement) -> volts`.
 """
 
+import signal
 import sys
 import time
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 import rclpy
@@ -52,6 +54,20 @@ class ControllerError(PumaSimError):
     """The simulator does not answer, or is not one for this controller."""
 
 
+def settings_of(p: Mapping[str, Any]) -> dict:
+    """Settings of the controller that parameters describe; raises ControllerError on what cannot be."""
+    kind, path = p["controller"], p["controllers_file"]
+    if kind not in KINDS:
+        raise ControllerError(kind, where="parameter 'controller'", expected=" or ".join(KINDS))
+    if kind != "pid":
+        return load_settings(kind, "external", path or None)
+    columns = {name: list(p[name]) for name in ("gain", "integral_time", "derivative_time")}
+    if any(len(column) != 3 for column in columns.values()):
+        expected = "three numbers of each, one for each joint"
+        raise ControllerError(f"gains {list(columns.values())}", expected=expected)
+    return {**columns, "derivative_on_measurement": False}
+
+
 class ExternalController(Node):
     """The node ``external_controller``; `done` when the line has been followed."""
 
@@ -64,7 +80,7 @@ class ExternalController(Node):
         self.spinner.add_node(self)
         self.controller = self.setpoints = None
         self.rows, self.done = [], False
-        self.answered_ns, self.answered_at = -1, 0.0
+        self.answered_ns, self.first = -1, True
         self.heard_at = time.monotonic()
         self.command = Float64MultiArray()
         self.publisher = self.create_publisher(Float64MultiArray, "voltage_controller/commands", qos(10))
@@ -73,27 +89,18 @@ class ExternalController(Node):
         self.simulator = AsyncParameterClient(self, self.p["simulator"])
 
     def controller_settings(self) -> dict:
-        """Settings of the controller; raises ControllerError on what cannot be."""
-        kind, path = self.p["controller"], self.p["controllers_file"]
-        if kind not in KINDS:
-            raise ControllerError(kind, where="parameter 'controller'", expected=" or ".join(KINDS))
-        if kind != "pid":
-            return load_settings(kind, "external", path or None)
-        columns = {name: list(self.p[name]) for name in ("gain", "integral_time", "derivative_time")}
-        if any(len(column) != 3 for column in columns.values()):
-            expected = "three numbers of each, one for each joint"
-            raise ControllerError(f"gains {list(columns.values())}", expected=expected)
-        return {**columns, "derivative_on_measurement": False}
+        """Settings of the controller."""
+        return settings_of(self.p)
 
     def connect(self) -> None:
         """Ask the simulator for its parameters, and start it if it is paused."""
-        self.wait_until(self.simulator.services_are_ready)
+        self.wait_until(self.simulator.services_are_ready, "its parameter services")
         names = ["command_interface", "joints", "period", "voltage_limit", "paused"]
         values = [parameter_value(message) for message in self.answer(self.simulator.get_parameters, names).values]
         interface, self.joints, self.period, limit, paused = values
         if interface != "voltage":
             raise ControllerError(f"command_interface is {interface}", where=self.p["simulator"], expected="voltage")
-        self.wait_until(lambda: self.publisher.get_subscription_count() > 0)
+        self.wait_until(lambda: self.publisher.get_subscription_count() > 0, "its subscription of commands")
         self.controller = self.make_controller(limit)
         if paused:
             self.answer(self.simulator.set_parameters, [Parameter("paused", value=False)])
@@ -111,21 +118,17 @@ class ExternalController(Node):
         self.heard_at = time.monotonic()
         time_ns = stamp_ns(message.header.stamp)
         if time_ns == self.answered_ns:
-            # in lockstep the simulator sends a state again after half a second without an answer
-            if self.heard_at - self.answered_at > 0.25:
-                self.send()
+            # in lockstep the simulator may send a state again as long as no command has come
+            if self.first:
+                self.publisher.publish(self.command)
             return
+        self.first = self.answered_ns < 0
         position = dict(zip(message.name, message.position))
         volts = self.control(time_ns * 1e-9, [position[name] for name in self.joints])
         if volts is not None:
             self.command.data = array("d", volts)
             self.answered_ns = time_ns
-            self.send()
-
-    def send(self) -> None:
-        """Publish the present command."""
-        self.publisher.publish(self.command)
-        self.answered_at = self.heard_at
+            self.publisher.publish(self.command)
 
     def control(self, t: float, position: list[float]) -> tuple[float, ...] | None:
         """Volts for positions [rad] at simulated time t [s]; None when the path is over."""
@@ -142,8 +145,9 @@ class ExternalController(Node):
         self.rows.append((t, volts, setpoint, tuple(position)))
         return volts
 
-    def wait_until(self, condition, repeat=lambda: None) -> None:
-        """Spin until `condition()` holds, calling `repeat()` every 2 s; raises ControllerError after a long silence."""
+    def wait_until(self, condition, what: str, repeat=lambda: None) -> None:
+        """Spin until `condition()` holds, calling `repeat()` every 2 s; raises ControllerError, which names what was
+        waited for, after a long silence."""
         self.heard_at = repeated_at = time.monotonic()
         while not condition():
             self.spinner.spin_once(timeout_sec=0.1)
@@ -152,15 +156,19 @@ class ExternalController(Node):
                 repeat()
                 repeated_at = now
             if now - self.heard_at > self.p["timeout"]:
-                what = f"no answer for {self.p['timeout']:g} s"
+                found = f"no answer for {self.p['timeout']:g} s: waited for {what}"
                 expected = "a sim_node of that name in this namespace and ROS_DOMAIN_ID"
-                raise ControllerError(what, where=self.p["simulator"], expected=expected)
+                raise ControllerError(found, where=self.p["simulator"], expected=expected)
 
     def answer(self, call, argument):
         """The result of a service call, which is repeated while no answer comes: a service drops its
         answer when it has not yet discovered who asks."""
         futures = [call(argument)]
-        self.wait_until(lambda: any(future.done() for future in futures), lambda: futures.append(call(argument)))
+        self.wait_until(
+            lambda: any(future.done() for future in futures),
+            "an answer about its parameters",
+            lambda: futures.append(call(argument)),
+        )
         return next(future.result() for future in futures if future.done())
 
     def recording(self) -> Recording:
@@ -184,18 +192,22 @@ def report(recording: Recording, period: float) -> str:
 
 
 def run_to_its_end(name: str, make: Callable[[], ExternalController], finish: Callable[..., None], args=None) -> int:
-    """Make a controller's node, connect it, wait until it is done, and finish; returns the exit status."""
+    """Make a controller's node, connect it, wait until it is done, and finish; returns the exit status, 0 as well
+    where it was interrupted."""
     rclpy.init(args=args)
     try:
         node = make()
         node.connect()
-        node.wait_until(lambda: node.done)
+        node.wait_until(lambda: node.done, "its next state")
         finish(node)
         return 0
     except (PumaSimError, ParameterException) as error:
         print(f"{name}: {error}", file=sys.stderr)
     except (KeyboardInterrupt, ExternalShutdownException):
+        # `ros2 launch` sends on what the terminal has sent, and takes another status than 0 for a failure
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
         print(f"{name}: interrupted", file=sys.stderr)
+        return 0
     finally:
         rclpy.try_shutdown()
     return 1

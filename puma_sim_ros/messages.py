@@ -5,6 +5,7 @@ from array import array
 from collections.abc import Mapping, Sequence
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
@@ -32,13 +33,20 @@ class StatePublishers:
     so nobody else sees the object. `array('d')` fields are what its fast path takes.
     """
 
-    def __init__(self, node: Node, joint_names: Sequence[str], frame_id: str, clock: bool) -> None:
+    def __init__(
+        self, node: Node, joint_names: Sequence[str], frame_id: str, clock: bool, events: PublisherEventCallbacks
+    ) -> None:
         self._joints = JointState(name=list(joint_names), header=Header(frame_id=frame_id))
         self._array, self._clock = Float64MultiArray(), Clock()
-        self._joint_publisher = node.create_publisher(JointState, "joint_states", qos(10))
+        self._joint_publisher = node.create_publisher(JointState, "joint_states", qos(10), event_callbacks=events)
         self._current_publisher = node.create_publisher(Float64MultiArray, "motor_currents", qos(10))
         self._voltage_publisher = node.create_publisher(Float64MultiArray, "motor_voltages", qos(10))
         self._clock_publisher = node.create_publisher(Clock, "/clock", qos(10)) if clock else None
+
+    @property
+    def subscriptions(self) -> int:
+        """Subscriptions to joint_states."""
+        return self._joint_publisher.get_subscription_count()
 
     def publish(self, state: SessionState) -> None:
         """Publish a state; joint_states last: who reacts to it has had the rest."""

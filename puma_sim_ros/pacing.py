@@ -3,7 +3,8 @@
 
 Simulated time is the number of steps times the period. A timer callback for each step would lose
 steps, since ROS timers drop the periods that they miss; a schedule of deadlines cannot: a step
-that is late is done late, and the next ones follow at once until the schedule is caught up.
+that is late is done late, and the next ones follow at once until the schedule is caught up. Only
+where the process stood still for long (a debugger, a machine that slept) the schedule begins anew.
 """
 
 import math
@@ -14,6 +15,9 @@ from itertools import accumulate
 _LEAST_NS = 1000
 _BINS_PER_FACTOR_TWO = 16
 _BINS = 32 * _BINS_PER_FACTOR_TWO
+#: a step that is later than so many periods, and than a second, is not caught up with: the schedule begins anew
+GREATEST_LAG = 36
+_GREATEST_LAG_NS = 1_000_000_000
 
 
 class Lateness:
@@ -70,6 +74,7 @@ class Pacer:
         self._period_ns, self._clock = period_ns, clock
         self.lateness, self.steps = Lateness(), 0
         self.overruns = 0  #: steps that began when the next one was already due
+        self.stalls, self.given_up = 0, 0.0  #: times that the schedule began anew, and what that left out [s]
         self._set_factor(real_time_factor)
         self.restart()
 
@@ -104,6 +109,13 @@ class Pacer:
     def begin_step(self) -> None:
         """Count a step that begins now, and set the deadline of the one after it."""
         late_ns = self._clock() - self._deadline
+        if late_ns > max(GREATEST_LAG * self._wall_period, _GREATEST_LAG_NS):
+            # how late that was says nothing of the pace
+            self.stalls += 1
+            self.given_up += late_ns * 1e-9
+            self.steps += 1
+            self.restart()
+            return
         self.lateness.add(int(late_ns))
         if late_ns >= self._wall_period:
             self.overruns += 1
@@ -114,4 +126,5 @@ class Pacer:
     def summary(self) -> str:
         """One line for a person."""
         late = ", ".join(f"{name} {value} ms" for name, value in self.lateness.in_ms().items())
-        return f"steps {self.steps}, overruns {self.overruns}, lateness {late}"
+        stalls = f", stalls {self.stalls} ({self.given_up:.3g} s given up)" if self.stalls else ""
+        return f"steps {self.steps}, overruns {self.overruns}{stalls}, lateness {late}"

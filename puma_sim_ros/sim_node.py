@@ -6,14 +6,20 @@ with it the kernel that is built from all registered effects, is imported after 
 """
 
 import argparse
+import os
+import signal
 import sys
-
-from puma_sim_core.effects import load_effects
-from puma_sim_core.errors import PumaSimError
 
 
 def main(args: list[str] | None = None) -> int:
     """Run the node; returns the exit status."""
+    # an interruption is heeded while the rest is imported, too: that takes the better part of a second, and nothing is
+    # open yet
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda number, _: os._exit(128 + number))
+    from puma_sim_core.effects import load_effects
+    from puma_sim_core.errors import PumaSimError
+
     own = list(sys.argv[1:] if args is None else args)
     options = argparse.ArgumentParser(prog="sim_node", add_help=False, allow_abbrev=False)
     options.add_argument("--effects", action="append", default=[])

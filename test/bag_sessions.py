@@ -3,9 +3,13 @@
 
 from __future__ import annotations
 
+import itertools
+import os
 import random
 import struct
+import subprocess
 import sys
+from pathlib import Path
 from typing import NamedTuple
 
 from puma_sim_core.recording.bag import BagRecorder, RecordedCommand
@@ -85,9 +89,18 @@ def bits(values) -> list[int]:
     return list(struct.unpack(f"<{len(flat)}Q", struct.pack(f"<{len(flat)}d", *flat)))
 
 
-def record_for_ever(path: str, command_interface: str) -> None:
+def endless(path, command_interface: str, every_ns: int = 0) -> subprocess.Popen:
+    """A process that records, with a new file each ``every_ns``, and prints each step it wrote, until it is ended."""
+    root = Path(__file__).resolve().parent.parent
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(root), *sys.path])}
+    command = [sys.executable, __file__, str(path), command_interface, str(every_ns)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
+
+
+def record_for_ever(path: str, command_interface: str, every_ns: str) -> None:
     """Record and print each step after it was written, until somebody ends the process."""
-    recorder = new_recorder(path, command_interface)
+    every = int(every_ns)
+    recorder = new_recorder(path, command_interface, splits_ns=itertools.count(every, every) if every else ())
     step = 0
     while True:
         recorder.write_state(state(step))

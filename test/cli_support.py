@@ -78,18 +78,20 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
-def record_session(path, config: SessionConfig, commands: dict, steps: int, change=lambda state: state) -> Path:
-    """A bag as the node writes it; `change(state)` may falsify what is written."""
+def record_session(
+    path, config: SessionConfig, commands: dict, steps: int, change=lambda state: state, **options
+) -> Path:
+    """A bag as the node writes it; `change(state)` may falsify what is written; options of the recorder."""
     session = Session(config)
     with BagRecorder(
         path,
         namespace="/",
         config_text=yaml_text(config.to_mapping()),
-        urdf=None,
         joint_names=config.joint_names,
         frame_id=config.frame_id,
         command_interface=config.command_interface,
         period_ns=config.period_ns,
+        **options,
     ) as recorder:
         recorder.write_state(change(session.state))
         for step in range(steps):

@@ -1,5 +1,6 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
-"""`--share n/m`: the n-th of m shares of the files with tests that are marked long, about equally long.
+"""`--share n/m`: the n-th of m shares of the files with tests that are marked long, about equally long; `n,k/m` the
+n-th and the k-th.
 
 Two interpreters that run side by side share these tests out: their numbers are the same on any.
 Those of a file stay together, since they may share what it took long to make.
@@ -8,6 +9,7 @@ Those of a file stay together, since they may share what it took long to make.
 from __future__ import annotations
 
 import re
+import signal
 
 import pytest
 from hypothesis import settings
@@ -16,6 +18,8 @@ from hypothesis import settings
 settings.register_profile("project", deadline=None, derandomize=True)
 settings.load_profile("project")
 
+# a shell's background job ignores Ctrl-C, and so would all programs that tests start and interrupt
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 #: files whose long tests take longest, the longest first: they are dealt out first, to and fro
 LONGEST = (
@@ -34,28 +38,28 @@ LONGEST = (
 def pytest_addoption(parser):
     parser.addoption(
         "--share",
-        default=(1, 1),
-        metavar="N/M",
+        default=((1,), 1),
+        metavar="N[,K...]/M",
         type=_share,
-        help="the N-th of M shares of the files with tests marked long",
+        help="the N-th (and the K-th, ...) of M shares of the files with tests marked long",
     )
 
 
-def _share(text: str) -> tuple[int, int]:
-    found = re.fullmatch(r"(\d+)/(\d+)", text)
-    number, of = (int(part) for part in found.groups()) if found else (0, 0)
-    if not 1 <= number <= of:
-        raise pytest.UsageError(f"--share {text}: expected N/M with 1 <= N <= M")
-    return number, of
+def _share(text: str) -> tuple[tuple[int, ...], int]:
+    found = re.fullmatch(r"(\d+(?:,\d+)*)/(\d+)", text)
+    numbers, of = (tuple(map(int, found[1].split(","))), int(found[2])) if found else ((0,), 0)
+    if not all(1 <= number <= of for number in numbers):
+        raise pytest.UsageError(f"--share {text}: expected N/M with 1 <= N <= M, or N,K/M")
+    return numbers, of
 
 
 def pytest_collection_modifyitems(config, items):
-    number, of = config.getoption("--share")
+    numbers, of = config.getoption("--share")
     long = [item for item in items if item.get_closest_marker("long")]
     order = {name: place for place, name in enumerate(LONGEST)}
     files = sorted({item.path for item in long}, key=lambda path: (order.get(path.stem, len(order)), path))
     turns = [*range(1, of + 1), *range(of, 0, -1)]
-    others = {id(item) for item in long if turns[files.index(item.path) % len(turns)] != number}
+    others = {id(item) for item in long if turns[files.index(item.path) % len(turns)] not in numbers}
     left = [item for item in items if id(item) in others]
     if left:
         config.hook.pytest_deselected(items=left)

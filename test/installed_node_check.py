@@ -78,7 +78,10 @@ def drive(programs: Path, out: Path, seconds: float) -> Path:
             cwd=out,
         )
         controller = subprocess.Popen(
-            [programs / "external_controller"], stdout=controller_log, stderr=subprocess.STDOUT, cwd=out
+            [programs / "external_controller", "--ros-args", "-p", f"timeout:={seconds:.1f}"],
+            stdout=controller_log,
+            stderr=subprocess.STDOUT,
+            cwd=out,
         )
         try:
             deadline = time.monotonic() + seconds
@@ -92,9 +95,9 @@ def drive(programs: Path, out: Path, seconds: float) -> Path:
                 fail(f"the controller ended with status {controller.returncode}", *logs)
             node.send_signal(signal.SIGINT)
             try:
-                node.wait(timeout=30)
+                node.wait(timeout=seconds)
             except subprocess.TimeoutExpired:
-                fail("the node did not end within 30 s of SIGINT", *logs)
+                fail(f"the node did not end within {seconds:g} s of SIGINT", *logs)
             if node.returncode != 0:
                 fail(f"the node ended with status {node.returncode} on SIGINT", *logs)
         finally:
@@ -127,7 +130,7 @@ def check_bag(programs: Path, bag: Path) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--out", type=Path, required=True, help="a new folder for logs and the bag")
-    parser.add_argument("--seconds", type=float, default=120.0, help="how long the path may take")
+    parser.add_argument("--seconds", type=float, default=300.0, help="how long the path may take")
     arguments = parser.parse_args()
     out = arguments.out.resolve()
     out.mkdir(parents=True)

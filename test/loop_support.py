@@ -124,17 +124,13 @@ def detectability(joints: int = 3) -> tuple[Detectable, ...]:
 
 
 def _ranking() -> tuple[Ranked, ...]:
+    friction = Hypothesis("coulomb_friction", 2)
     rows = [
         Ranked("coulomb_friction", 2, 1834.2, "named"),
-        Ranked(
-            "asymmetric_coulomb_friction",
-            2,
-            1831.0,
-            "its two levels are equal within their intervals: the simpler name holds",
-        ),
-        Ranked("voltage_dead_band", 2, 1204.9, "follows the sign of the voltage, the residual that of the velocity"),
-        Ranked("load_dependent_friction", 2, 977.4, "its step would grow with gravity; the measured one does not"),
-        Ranked("stribeck_friction", 2, 641.3, "the step is flat down to the lowest speeds"),
+        Ranked("asymmetric_coulomb_friction", 2, 1831.0, "it contains Coulomb friction, which is enough", friction),
+        Ranked("voltage_dead_band", 2, 1204.9, "lower than Coulomb friction by 629 nat", friction),
+        Ranked("load_dependent_friction", 2, 977.4, "lower than Coulomb friction by 857 nat", friction),
+        Ranked("stribeck_friction", 2, 641.3, "it contains Coulomb friction, which is enough", friction),
     ]
     rows += [
         Ranked(kind.name, joint, 12.0 - 3.1 * joint - index, "gains nothing once the others are in the model")
@@ -174,8 +170,8 @@ def named() -> Explanation:
         detectability=detectability(),
         next_experiment=NextExperiment(
             "Crawl through reversals at 0.01 to 0.2 rad/s to see whether the step has a bump at low speed.",
-            (Hypothesis("stribeck_friction", 1), Hypothesis("soft_stop", 2)),
-            "puma-sim excite --plant puma560 --separate stribeck_friction:1,soft_stop:2 --out volts.csv",
+            (Hypothesis("stribeck_friction", 1),),
+            "puma-sim excite --plant puma560 --separate stribeck_friction@1 --out volts.csv",
         ),
         feedback_bias=FeedbackBias(
             np.array([1.2, 0.4, 2.3]),
@@ -199,10 +195,16 @@ def named() -> Explanation:
 def tied() -> Explanation:
     """NAMED with a tie, two effects, one of the whole arm, and names that need escaping."""
     first, e = named().effects[0], named()
-    first = replace(first, tied_with=(Hypothesis("voltage_dead_band", 2),))
+    others = tuple(each for each in first.ruled_out if each.name != "voltage_dead_band")
+    first = replace(first, tied_with=(Hypothesis("voltage_dead_band", 2),), ruled_out=others)
     second = NamedEffect(
         "payload", None, {"mass": Interval(1.234, 1.1, 1.37, "kg"), "z": Interval(2.1e-3, -1e-3, np.inf, "m")}, 31.4
     )
+    rows = [
+        replace(each, evidence=1831.9, verdict="tied") if each.name == "voltage_dead_band" and each.joint == 2 else each
+        for each in e.ranking
+    ]
+    separate = (Hypothesis("coulomb_friction", 2), first.tied_with[0])
     feedback = replace(
         e.feedback_bias,
         biased=True,
@@ -212,6 +214,12 @@ def tied() -> Explanation:
     return replace(
         e,
         effects=(first, second),
+        ranking=tuple(sorted([*rows, Ranked("payload", None, 31.4, "named")], key=lambda each: -each.evidence)),
+        next_experiment=NextExperiment(
+            "Load the joint with gravity.",
+            separate,
+            "puma-sim excite --separate coulomb_friction@2,voltage_dead_band@2 --out volts.csv",
+        ),
         feedback_bias=feedback,
         sentence=HARD,
         logs=(f"dir/{HARD}.csv", "bad\udcff.csv"),
@@ -220,13 +228,15 @@ def tied() -> Explanation:
     )
 
 
+_LITTLE = "gains less than chance does on this record"
+
+
 def nothing() -> Explanation:
     """NOTHING_MISSING."""
     e = named()
     calm = replace(e.drawn, retuned=e.drawn.augmented)
     ranking = tuple(
-        replace(each, evidence=min(each.evidence, 1.3), verdict="gains less than chance does on this record")
-        for each in e.ranking
+        replace(each, evidence=min(each.evidence, 1.3), verdict=_LITTLE, against=None) for each in e.ranking
     )
     found = {}
     for part, each in e.errors.items():
@@ -268,6 +278,7 @@ def unnamed() -> Explanation:
         named(),
         verdict=UNNAMED,
         effects=(),
+        ranking=nothing().ranking,
         shape=Shape(
             "position",
             "rad",

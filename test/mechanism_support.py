@@ -8,7 +8,8 @@ import numpy as np
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.effects.screening import Signals
 from puma_sim_core.files import read_yaml
-from puma_sim_core.plant.one_joint import OneJoint, OneJointPlant
+from puma_sim_core.plant.linkage_file import read_linkage
+from puma_sim_core.plant.linkage_plant import LinkagePlant
 from puma_sim_core.resources import config_path
 
 NAMES = ("puma560", "pendulum", "slide")
@@ -19,8 +20,8 @@ def pendulum_mapping():
 
 
 def pendulum(effects=(), **numbers):
-    body = OneJoint.from_mapping(pendulum_mapping())
-    return OneJointPlant.of(body, map(parse_effect, effects), numbers)
+    body = read_linkage(pendulum_mapping())
+    return LinkagePlant.of(body, map(parse_effect, effects), numbers)
 
 
 def signals_of(mechanism, run, voltage):

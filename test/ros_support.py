@@ -5,16 +5,20 @@ from __future__ import annotations
 
 import itertools
 import os
+import re
 import signal
 import subprocess
 import sys
+import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
 rclpy = pytest.importorskip("rclpy")
 
+from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -63,13 +67,14 @@ def run_program(program: str | Path, *words: str) -> subprocess.CompletedProcess
 class Program:
     """A program of the package that runs beside the test; as a context, it must end well."""
 
-    def __init__(self, module: str, *words: str) -> None:
+    def __init__(self, module: str, *words: str, **variables: str) -> None:
+        # files: a pipe that nobody reads would hold up who writes much
+        self._files = tempfile.TemporaryFile(), tempfile.TemporaryFile()  # noqa: SIM115
         self.process = subprocess.Popen(
             [sys.executable, "-m", module, *words],
-            env=environment(),
-            text=True,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
+            env={**environment(), **variables},
+            stdout=self._files[0],
+            stderr=self._files[1],
         )
         self.output = self.errors = ""
 
@@ -91,33 +96,51 @@ class Program:
     def wait(self) -> int:
         """The status when it has ended by itself."""
         try:
-            self.output, self.errors = self.process.communicate(timeout=PATIENCE)
+            self.process.wait(timeout=PATIENCE)
         except subprocess.TimeoutExpired:
             self.process.kill()
-            self.output, self.errors = self.process.communicate()
-            raise AssertionError(f"it did not end:\n{self.errors}") from None
+            self.process.wait()
+            raise AssertionError(f"it did not end:\n{self._read()[1]}") from None
+        self.output, self.errors = self._read()
         return self.process.returncode
+
+    def _read(self) -> list[str]:
+        """What it has said so far, on both outputs."""
+        # its place in the file is where it writes on
+        return [os.pread(file.fileno(), os.fstat(file.fileno()).st_size, 0).decode() for file in self._files]
+
+    def wait_for(self, pattern: str) -> re.Match[str]:
+        """The first place of its log that matches, once there is one."""
+        end = time.monotonic() + PATIENCE
+        while not (found := re.search(pattern, self._read()[1])):
+            assert time.monotonic() < end, f"no {pattern!r} in {self._read()[1]}"
+            time.sleep(0.05)
+        return found
 
 
 class Node(Program):
     """`sim_node` with parameters, in a namespace that no other test has."""
 
-    def __init__(self, namespace: str | None = None, **parameters) -> None:
+    def __init__(
+        self, namespace: str | None = None, words: Sequence[str] = (), variables: dict | None = None, **parameters
+    ) -> None:
         self.namespace = namespace or f"/t{os.getpid()}_{next(_names)}"
-        super().__init__("puma_sim_ros.sim_node", *arguments(parameters), "-r", f"__ns:={self.namespace}")
+        words = (*arguments(parameters), "-r", f"__ns:={self.namespace}", *words)
+        super().__init__("puma_sim_ros.sim_node", *words, **(variables or {}))
 
 
 class Peer:
     """A ROS node in this process, in the namespace of the node under test.
 
-    ``states``, ``currents`` and ``voltages`` collect what the simulator publishes.
+    ``states``, ``currents`` and ``voltages`` collect what the simulator publishes. Without an interface it
+    only listens.
     """
 
-    def __init__(self, namespace: str, interface: str = "voltage") -> None:
+    def __init__(self, namespace: str, interface: str | None = "voltage", name: str = "peer") -> None:
         os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
         self.context = Context()
         rclpy.init(context=self.context, domain_id=DOMAIN)
-        self.node = rclpy.create_node("peer", namespace=namespace, context=self.context)
+        self.node = rclpy.create_node(name, namespace=namespace, context=self.context)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         self.states, self.currents, self.voltages = [], [], []
@@ -130,13 +153,16 @@ class Peer:
         node.create_subscription(
             Float64MultiArray, "motor_voltages", lambda m: self.voltages.append(tuple(m.data)), 100
         )
-        self.commands = node.create_publisher(Float64MultiArray, f"{interface}_controller/commands", 10)
+        self.commands = None
+        if interface is not None:
+            self.commands = node.create_publisher(Float64MultiArray, f"{interface}_controller/commands", 10)
         self.clients = {
             name: node.create_client(kind, f"sim_node/{name}")
             for name, kind in (
                 ("reset", Trigger),
                 ("pause", SetBool),
                 ("step", Trigger),
+                ("brakes", SetBool),
                 ("set_parameters", SetParameters),
                 ("get_parameters", GetParameters),
                 ("describe_parameters", DescribeParameters),
@@ -220,6 +246,11 @@ class Peer:
         """Publish a command; the simulator has it before what is asked of it next."""
         self.publish(self.commands, Float64MultiArray(data=[float(value) for value in values]))
 
+    def send_plainly(self, *values: float) -> None:
+        """Publish a command to a simulator of whatever name."""
+        self.wait_for(lambda: self.commands.get_subscription_count() > 0, "a subscription")
+        self.commands.publish(Float64MultiArray(data=[float(value) for value in values]))
+
     def publish(self, publisher, message) -> None:
         publisher.publish(message)
         # sent on the same way, so behind it: when this is answered, the message has been handled
@@ -248,6 +279,31 @@ class Peer:
         answer = self.call("reset")
         assert answer.success, answer.message
         self.state_of(0)
+
+
+class Watcher:
+    """What a topic said last, for a peer."""
+
+    def __init__(self, peer, kind, topic, profile=10):
+        self.messages = []
+        peer.node.create_subscription(kind, topic, self.messages.append, profile)
+
+
+class Diagnostics(Watcher):
+    def __init__(self, peer):
+        super().__init__(peer, DiagnosticArray, "/diagnostics")
+        self._peer, self._name = peer, f"{peer.node.get_namespace()}/sim_node"
+
+    def __call__(self):
+        """The next status: level, text and values."""
+        self.messages.clear()
+        self._peer.wait_for(lambda: self._found() is not None, "diagnostics")
+        status = self._found()
+        return status.level, status.message, {item.key: item.value for item in status.values}
+
+    def _found(self):
+        found = [status for message in self.messages for status in message.status if status.name == self._name]
+        return found[-1] if found else None
 
 
 def time_ns(message: JointState) -> int:

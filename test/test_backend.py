@@ -27,7 +27,7 @@ from puma_sim_core.effects import KINDS, parse_effect
 from puma_sim_core.plant.plant import Plant
 from puma_sim_core.simulation.session import Session
 from puma_sim_core.simulation.session import SessionConfig
-from puma_sim_core.simulation.simulator import Constraint
+from puma_sim_core.simulation.conditions import Constraint
 from puma_sim_core.simulation.simulator import Simulator
 
 dry = ["coulomb_friction:joint=1,torque=12", "coulomb_friction:joint=2,torque=5",
@@ -216,6 +216,12 @@ def test_a_change_of_any_module_whose_code_others_compile_is_another_cache(copie
             before = cache_name()
             change(path)
             assert cache_name() != before, path
+
+
+def test_a_copy_of_the_package_has_a_cache_of_its_own(copied_package):
+    """numba keeps code by the path of its source: what one installation has compiled is not there for another."""
+    _, cache_name = copied_package
+    assert cache_name() != Path(backend.cache_directory()).name
 
 
 def test_the_cache_is_in_the_users_cache_folder(tmp_path, monkeypatch):

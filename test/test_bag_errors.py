@@ -152,13 +152,13 @@ def foreign_bag(path, topics):
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         for topic in topics:
             connection = writer.add_connection(topic, messages.STRING, typestore=store)
-            writer.write(connection, 0, messages.encode_text("hello"))
+            writer.write(connection, 0, messages.encode_data("hello"))
     return path
 
 
 def test_a_bag_of_another_program_is_named_so(tmp_path):
     bag = foreign_bag(tmp_path / "other", ["/chatter"])
-    with pytest.raises(BagError, match="other.mcap: 0 topics are named sim_node/model"):
+    with pytest.raises(BagError, match="other: there is no model on a topic sim_node/model"):
         read_bag(bag)
     assert [message.topic for message in iterate_messages(bag)] == ["/chatter"]
 
@@ -237,15 +237,16 @@ def change_metadata(bag, change):
         (lambda info: info.update(storage_identifier="sqlite3"), "'sqlite3'; expected 'mcap'"),
         (lambda info: info.update(version=10), "version is 10; expected at most 9"),
         (lambda info: info.update(version="9"), "version is '9'; expected a whole number"),
-        (lambda info: info.update(relative_file_paths=["a", "b"]), "expected one file"),
-        (lambda info: info.update(relative_file_paths=["../x"]), "expected one file"),
+        (lambda info: info.update(relative_file_paths=[]), "expected names of files in this directory"),
+        (lambda info: info.update(relative_file_paths=["run_0.mcap", 1]), "expected names of files in this directory"),
+        (lambda info: info.update(relative_file_paths=["../x"]), "expected names of files in this directory"),
         (lambda info: info.update(relative_file_paths=["gone.mcap"]), "gone.mcap: does not exist"),
         (lambda info: info.update(compression_mode="FILE"), "compression_mode"),
         (
             lambda info: info["topics_with_message_count"][2].update(message_count=3),
-            "topic /joint_states: the file holds 4 messages; expected 3",
+            "topic /joint_states: the bag holds 4 messages; expected 3",
         ),
-        (lambda info: info["topics_with_message_count"].pop(), "topic /voltage_controller/commands: .* expected None"),
+        (lambda info: info["topics_with_message_count"].pop(), "topic /sim_node/effects: .* expected None"),
     ],
 )
 def test_metadata_that_disagrees_is_named(tmp_path, change, text):

@@ -15,9 +15,10 @@ import bag_sessions as sessions
 import pytest
 import yaml
 from mcap.reader import NonSeekingReader, make_reader
-from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
+
+DecoderFactory = pytest.importorskip("mcap_ros2.decoder").DecoderFactory
 
 from puma_sim_core.recording import bag as bags
 from puma_sim_core.recording.bag import messages
@@ -205,7 +206,7 @@ def assert_information(information, files):
         assert topic["topic_metadata"]["serialization_format"] == "cdr"
         (profile,) = topic["topic_metadata"]["offered_qos_profiles"]
         assert_keys(profile, QOS_KEYS)
-        latched = topic["topic_metadata"]["name"].endswith(("model", "robot_description"))
+        latched = topic["topic_metadata"]["name"].endswith(("model", "robot_description", "brakes", "effects"))
         assert profile == {
             "history": "keep_last",
             "depth": 1 if latched else 10,
@@ -280,6 +281,73 @@ def test_the_mcap_file_has_the_form_of_rosbag2(bag):
     assert summary.statistics.chunk_count == len(summary.chunk_indexes) > 1
     assert all(chunk.message_index_length > 0 for chunk in summary.chunk_indexes)
     assert all(len(chunk.message_index_offsets) >= 3 for chunk in summary.chunk_indexes[2:])
+
+
+# Split bags ----------------------------------------------------------------------------------
+
+EVERY = 300_000_000
+
+
+@pytest.fixture(scope="module")
+def split_bag(tmp_path_factory):
+    """Of four files: states 0 to 10, 11 to 21, 22 to 32, 33 to 40."""
+    path = tmp_path_factory.mktemp("split") / "run"
+    return sessions.record(path, STEPS, "position", namespace="cell1", splits_ns=range(EVERY, 10**12, EVERY))
+
+
+def test_rosbags_reads_a_split_directory_whole(split_bag):
+    test_rosbags_reads_the_directory(split_bag)
+
+
+@pytest.mark.parametrize("indexed", [True, False])
+def test_the_files_of_a_split_bag_are_the_session_one_after_the_other(split_bag, indexed):
+    found = []
+    for number in range(4):
+        with open(split_bag / f"run_{number}.mcap", "rb") as file:
+            make = make_reader if indexed else NonSeekingReader
+            reader = make(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+            for item in reader.iter_decoded_messages():
+                value = value_of(item.decoded_message, item.message.log_time)
+                found.append((item.channel.topic, item.schema.name, item.message.log_time, value))
+    assert found == expected_messages(split_bag)
+
+
+def test_the_metadata_of_a_split_bag_lists_its_files(split_bag):
+    outer = stored_information(split_bag)
+    assert_information(outer, files=4)
+    expected = expected_messages(split_bag)
+    assert outer["message_count"] == len(expected)
+    assert outer["duration"]["nanoseconds"] == expected[-1][2]
+    names = [f"run_{number}.mcap" for number in range(4)]
+    assert outer["relative_file_paths"] == [file["path"] for file in outer["files"]] == names
+    for file, begin, end in zip(outer["files"], (0, 11, 22, 33), (11, 22, 33, 41)):
+        assert_keys(file, FILE_KEYS)
+        times = [item[2] for item in expected if begin <= item[2] // sessions.PERIOD_NS < end]
+        assert file["starting_time"] == {"nanoseconds_since_epoch": begin * sessions.PERIOD_NS}
+        assert file["duration"] == {"nanoseconds": (end - 1 - begin) * sessions.PERIOD_NS}
+        assert file["message_count"] == len(times)
+
+
+def test_each_file_of_a_split_bag_describes_itself(split_bag):
+    outer = stored_information(split_bag)
+    for listed in outer["files"]:
+        with open(split_bag / listed["path"], "rb") as file:
+            reader = make_reader(file)
+            statistics = reader.get_summary().statistics
+            topics = [channel.topic for _, channel, _ in reader.iter_messages()]
+            (record,) = reader.iter_metadata()
+        inner = yaml.safe_load(record.metadata["serialized_metadata"])
+        assert_keys(inner, INFORMATION_KEYS)
+        span = {key: listed[key] for key in ("starting_time", "duration", "message_count")}
+        same = {**outer, **span, "files": [], "relative_file_paths": []}
+        of_topic = [
+            {**each, "message_count": topics.count(each["topic_metadata"]["name"])}
+            for each in outer["topics_with_message_count"]
+        ]
+        assert inner == {**same, "topics_with_message_count": of_topic}
+        assert statistics.message_count == listed["message_count"]
+        assert statistics.message_start_time == listed["starting_time"]["nanoseconds_since_epoch"]
+        assert statistics.message_end_time - statistics.message_start_time == listed["duration"]["nanoseconds"]
 
 
 @pytest.mark.parametrize(

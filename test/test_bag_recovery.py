@@ -3,12 +3,8 @@
 
 from __future__ import annotations
 
-import os
 import random
 import struct
-import subprocess
-import sys
-from pathlib import Path
 
 import bag_sessions as sessions
 import pytest
@@ -46,14 +42,7 @@ def test_a_recorder_ended_by_sigkill_loses_less_than_a_second(tmp_path, seed, co
     """Kill a real process at a random step; it prints each step when it has written it."""
     target = random.Random(f"{seed} {command_interface}").randrange(1, 900)
     bag = tmp_path / "run"
-    root = Path(__file__).resolve().parent.parent
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(root), *sys.path])}
-    with subprocess.Popen(
-        [sys.executable, sessions.__file__, str(bag), command_interface],
-        stdout=subprocess.PIPE,
-        text=True,
-        env=environment,
-    ) as process:
+    with sessions.endless(bag, command_interface) as process:
         try:
             while int(process.stdout.readline()) < target:
                 pass
@@ -139,7 +128,7 @@ class Cut:
         try:
             result = recover(self.bag, out)
         except BagError as error:
-            assert str(cut) in str(error)
+            assert str(self.bag) in str(error)
             assert not out.exists()
             return None
         finally:
@@ -195,24 +184,52 @@ def test_damaged_bytes_are_recovered_around_or_refused(cut_anywhere, position, m
     try:
         result = recover(bag, out)
     except BagError as error:
-        assert str(mcap_of(bag)) in str(error)
+        assert str(bag) in str(error)
         assert not out.exists()
         return
-    assert len(read_bag(out).steps) == result.steps + 1
+    found = read_bag(out)
+    assert found.steps[-1] == result.steps and found.missing == result.missing
+    assert len(found.steps) == result.steps + 1 - sum(last + 1 - first for first, last in found.missing)
     for file in out.iterdir():
         file.unlink()
     out.rmdir()
 
 
-def test_a_damaged_chunk_ends_the_recovery_there(tmp_path):
+def test_recovery_goes_on_behind_damaged_chunks(tmp_path):
+    """Two of the six chunks are damaged, one in a number, one in its length: only their steps are missing."""
     bag = sessions.record(tmp_path / "run", 100)
     data = bytearray(mcap_of(bag).read_bytes())
-    data[len(data) // 2] ^= 1
+    chunks = [offset for offset in record_boundaries(data) if data[offset] == Opcode.CHUNK and offset + 99 < len(data)]
+    sizes = [9 + struct.unpack_from("<Q", data, offset + 1)[0] for offset in chunks]
+    chunks, sizes = zip(*(pair for pair in zip(chunks, sizes) if pair[1] > 2000))
+    data[chunks[2] + sizes[2] // 2] ^= 1
+    data[chunks[4] + 3] ^= 0x40
     mcap_of(bag).write_bytes(data)
     result = recover(bag)
-    assert not result.was_complete
-    assert 18 <= result.steps < 60
-    assert_recovered(bag, result.path, tmp_path, "voltage")
+    assert not result.was_complete and result.steps == 100
+    # with the index of its messages that stands behind each of them
+    assert [(each.offset, each.size) for each in result.damage] == [
+        (chunks[n], chunks[n + 1] - chunks[n]) for n in (2, 4)
+    ]
+    whole, found = (read_bag(path) for path in (sessions.record(tmp_path / "whole", 100), result.path))
+    assert found.missing == result.missing and len(result.missing) == 2
+    lost = {step for first, last in result.missing for step in range(first, last + 1)}
+    assert 20 < len(lost) < 50 and found.steps.tolist() == [n for n in range(101) if n not in lost]
+    for name in ("position", "velocity", "effort", "current", "voltage"):
+        assert sessions.bits(getattr(found, name).ravel()) == sessions.bits(getattr(whole, name)[found.steps].ravel())
+    # what the last state before a hole was given stands in its chunk or in the one that is lost
+    edges = {first - 1 for first, _ in result.missing}
+    kept = [each for each in whole.commands if each[0] not in lost and each[0] < 100]
+    assert found.commands == tuple(each for each in kept if each[0] not in edges or each in found.commands)
+
+
+def test_recovery_says_where_it_stopped_and_what_it_left(tmp_path):
+    bag = sessions.record(tmp_path / "run", 100)
+    data = mcap_of(bag).read_bytes()
+    mcap_of(bag).write_bytes(data[: len(data) // 2])
+    (damage,) = recover(bag).damage
+    assert damage.offset + damage.size == len(data) // 2
+    assert damage.size < 1000 and "ends inside a record" in damage.what
 
 
 def test_zeros_behind_the_last_record_are_no_obstacle(tmp_path):

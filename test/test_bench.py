@@ -261,7 +261,8 @@ def test_a_wrong_command_line_is_refused(arguments, complaint, capsys):
 
 def test_two_checkouts_are_timed_in_one_run(tmp_path):
     """Each case of `make bench AGAINST=...` runs on both sides, here of one and the same checkout."""
-    seconds = against.ratios("Coulomb friction", "python", (against.ROOT, against.ROOT), 2)
+    seconds, megabytes = against.measured("Coulomb friction", "python", (against.ROOT, against.ROOT), 2)
     assert seconds.shape == (2, 2) and (seconds > 0.0).all()
+    assert megabytes.shape == (2,) and (megabytes > 10.0).all()
     with pytest.raises(SystemExit, match="no such effect"):
-        against.ratios("no such effect", "python", (against.ROOT, against.ROOT), 1)
+        against.measured("no such effect", "python", (against.ROOT, against.ROOT), 1)

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.long
 pytest.importorskip("numba")
 mujoco = pytest.importorskip("mujoco")
 
-from blind import arm_mujoco, arm_parameters, drives, effects, faults, generate, records, size
+from blind import arm_mujoco, arm_parameters, cases, drives, effects, faults, generate, records, size
 
 from puma_sim_core.arm.parameters import load_parameters
 from puma_sim_core.effects import parse_effect
@@ -106,7 +106,9 @@ def test_dry_friction_of_the_engine_holds_and_slips_sharply():
 def quiet_run(name: str | None, seed: int, seconds: float, strength: float | None = None):
     """(rig, placed effect, run) of a plant without noise and quantisation."""
     kind = name or "nothing"
-    recipe = replace(records.plan(kind, seed, 1)[0], period=1e-3, seconds=seconds, feedback=True)
+    recipe = replace(
+        records.plan(kind, seed, 1)[0], period=1e-3, seconds=seconds, feedback=True, version=records.VERSION
+    )
     rig = generate.Rig(recipe, seed, true_parameters(seed))
     rig.noise[:] = rig.torque_noise[:] = 0.0
     placed = []
@@ -172,8 +174,10 @@ _TOLERANCE = {"backlash": 5e-5}
 
 
 @pytest.mark.parametrize("name", effects.EFFECTS)
-def test_an_effect_of_the_table_acts_as_the_projects_effect_of_that_name(name):
-    """Two authors, one table: the same motion in both engines, and not without the effect."""
+def test_an_effect_of_the_table_acts_as_the_projects_effect_of_that_name(name, monkeypatch):
+    """Two authors, one table: the same motion in both engines, and not without the effect. In motions of the first
+    version, which the tolerances were made for."""
+    monkeypatch.setattr(records, "VERSION", 1)
     rig, placed, run = quiet_run(name, 2510, 1.2)
     tolerance = _TOLERANCE.get(name, 1.5e-5)
     with_effect = np.abs(again_by_the_project(rig, placed, run) - run.motion).max()
@@ -242,6 +246,54 @@ def test_plans_are_deterministic_small_and_cover_every_name():
         if {name for name, _ in recipe.effects} == records.ONE_ANGLE
     ]
     assert springs and all(one[1] != other[1] for one, other in (r.effects for r in springs))
+
+
+def test_each_version_of_the_generator_has_draws_of_its_own():
+    recipe = records.plan("nothing", 2000, 1)[0]
+    streams = [replace(recipe, version=version).random(3).random(4).tolist() for version in (1, 2)]
+    assert streams[0] == np.random.default_rng([2000, 3]).random(4).tolist() != streams[1]
+    assert recipe.version == records.VERSION and all(each.version == 1 for each in records.committed())
+
+
+def test_cases_take_turns_and_have_what_they_need():
+    found = records.plan("case", 2300, 3 * len(cases.CASES))
+    assert [recipe.case for recipe in found[: len(cases.CASES)]] == list(cases.CASES)
+    for recipe in found:
+        case = cases.CASES[recipe.case]
+        assert recipe.feedback and tuple(name for name, _ in recipe.effects) == case.effects
+        assert not case.periods or recipe.period in case.periods
+        assert set(case.draw) <= set(case.effects)
+
+
+def test_limits_and_stops_are_drawn_relative_to_the_motion():
+    rng, t = np.random.default_rng(5), np.linspace(0.0, 20.0, 5000)
+    asked = cases.Demand(np.sin(t), 20.0 * np.sin(t), 3.0 * np.sin(t), 0.2 * np.cos(t), 1.5 * np.cos(t))
+    shares, stiffness = [], []
+    for _ in range(300):
+        current = cases.CASES["current_limit_in_use"].draw["current_limit"](rng, 0, asked)["current"]
+        volts = cases.CASES["voltage_limit_in_use"].draw["voltage_saturation"](rng, 0, asked)["voltage"]
+        stop = cases.CASES["stop_met_in_part"].draw["soft_stop"](rng, 0, asked)
+        assert current >= 1.1 * 0.2 * (1 - 1e-3) and volts >= 1.1 * 1.5 * (1 - 1e-3)
+        shares += [np.mean(np.abs(asked.current) > current), np.mean(np.abs(asked.voltage) > volts)]
+        past = np.mean((asked.position > stop["upper"]) | (asked.position < stop["lower"]))
+        assert 0.02 < past < 0.61
+        stiffness.append(stop["stiffness"])
+    assert 0.015 < min(shares) < 0.05 and 0.4 < max(shares) < 0.51
+    assert min(stiffness) < 50.0 and max(stiffness) > 8000.0
+
+
+def test_the_gain_of_an_oscillating_loop_is_about_the_critical_one():
+    """The loop's own phase, evaluated on a grid: -180 degrees where its gain is between 1 / 0.9 and 1 / 1.5."""
+    for seed, delay in ((1, 2e-3), (2, 4e-3), (3, 8e-3)):
+        joint, gain = cases.oscillating_gain(np.random.default_rng(seed), delay, 1e-3)
+        p = arm_parameters.nominal()
+        emf = p["ke"][joint] * arm_parameters.GEAR[joint]
+        mass = arm_parameters.inertia(np.array([[0.0, -np.pi / 2, np.pi / 2]]), p)[0, joint, joint] + p["Ia"][joint]
+        tau = p["R"][joint] / (arm_parameters.GEAR[joint] * p["kt"][joint]) * mass / emf
+        w = np.geomspace(1.0, 1e4, 200_001)
+        loop = gain * np.exp(-1j * w * (delay + 0.5e-3)) / (emf * 1j * w * (1.0 + 1j * w * tau))
+        crossing = np.argmax(np.unwrap(np.angle(loop)) < -np.pi)
+        assert 0.899 < abs(loop[crossing]) < 1.501
 
 
 @pytest.mark.parametrize("kind", faults.FAULTS)

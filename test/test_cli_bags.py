@@ -117,11 +117,11 @@ def test_bags_that_cannot_be_replayed_are_refused(tmp_path, capsys):
     store = messages.typestore()
     with Writer(tmp_path / "other", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         connection = writer.add_connection("/chatter", messages.STRING, typestore=store)
-        writer.write(connection, 0, messages.encode_text("hello"))
+        writer.write(connection, 0, messages.encode_data("hello"))
     (tmp_path / "text.mcap").write_text("time,voltage1\n")
     (tmp_path / "empty").mkdir()
     for name, says in (
-        ("other", ["other.mcap", "sim_node/model"]),
+        ("other", ["other: there is no model", "sim_node/model"]),
         ("nowhere", ["nowhere: does not exist"]),
         ("text.mcap", ["text.mcap", "is not an MCAP file"]),
         ("empty", ["empty: is not a bag", "metadata.yaml"]),

@@ -10,6 +10,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -106,7 +107,7 @@ def test_a_listed_effect_has_its_equation_units_bounds_and_an_option_that_works(
 
 def test_what_cannot_be_listed_is_refused(tmp_path, capsys):
     assert call("list", "magic") == 2
-    assert "'magic' is not known; expected a parameter file, or one of bejczy" in capsys.readouterr().err
+    assert "'magic' is not known; expected a parameter file, or one of those of" in capsys.readouterr().err
     (tmp_path / "bad.yaml").write_text("name: 1\n")
     assert call("list", tmp_path / "bad.yaml") == 2
     assert "bad.yaml" in capsys.readouterr().err
@@ -178,11 +179,8 @@ def test_progress_is_a_bar_on_a_terminal_that_is_cleared():
         for share in (0.0, 0.25, 1.0):
             progress("simulating", share)
     text = file.getvalue()
-    assert [re.sub(r"\s", "", shown) for shown in re.findall(r"simulating: +\d+%", text)][:3] == [
-        "simulating:0%",
-        "simulating:25%",
-        "simulating:100%",
-    ]
+    shown = (re.sub(r"\s", "", each) for each in re.findall(r"simulating: +\d+%", text))
+    assert list(dict.fromkeys(shown)) == ["simulating:0%", "simulating:25%", "simulating:100%"]
     # the cursor is shown again, and the line erased
     assert text.rindex("\x1b[?25h") > text.rindex("simulating") and text.endswith("\x1b[2K")
 
@@ -192,11 +190,23 @@ def test_progress_is_a_line_now_and_then_where_there_is_no_terminal():
     with output.Progress(file, lines=0.0) as progress:
         progress("fitting", 0.125)
         progress("fitting", 0.5)
-    lines = file.getvalue().splitlines()
-    assert [line.rpartition(",")[0] for line in lines] == ["puma-sim: fitting:  12%", "puma-sim: fitting:  50%"]
+    lines = [line.rpartition(",")[0] for line in file.getvalue().splitlines()]
+    assert list(dict.fromkeys(lines)) == ["puma-sim: fitting:  12%", "puma-sim: fitting:  50%"]
     with output.Progress(file := io.StringIO(), lines=100.0) as progress:
         progress("fitting", 0.5)
     assert file.getvalue() == ""
+
+
+def test_a_stage_that_takes_long_is_shown_again():
+    file = io.StringIO()
+    with output.Progress(file, lines=0.0) as progress:
+        progress("fitting", 0.5)
+        for _ in range(600):
+            if len(file.getvalue().splitlines()) > 2:
+                break
+            time.sleep(0.1)
+    first, *others = (line.rpartition(",")[0] for line in file.getvalue().splitlines())
+    assert len(others) > 1 and set(others) == {first}
 
 
 def test_a_quick_command_shows_no_progress():
@@ -219,6 +229,78 @@ def test_an_interrupt_anywhere_in_the_run_is_130(tmp_path, monkeypatch, capsys):
 
         with monkeypatch.context() as patch:
             patch.setattr(recording, name, interrupted)
-            assert call("simulate", volts, "--out", tmp_path / "run.csv") == 130
+            assert call("simulate", volts, "--force", "--out", tmp_path / "run.csv") == 130
         assert contents(tmp_path) == before
     assert capsys.readouterr().err == ""
+
+
+# --------------------------------------------------------------------- files that are there, words
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("simulate", "volts.csv", "--out", "there.csv"),
+        ("model", "--out", "there.csv"),
+        ("mechanism", "new", "--kind", "slide", "--drive", "voltage", "there.csv"),
+    ],
+)
+def test_a_file_that_is_there_is_replaced_with_force_alone(command, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    random_volts(tmp_path / "volts.csv", rows=3)
+    there = tmp_path / "there.csv"
+    there.write_text("mine")
+    assert call(*command) == 2
+    assert "there.csv: is there already; expected another name, or --force" in capsys.readouterr().err
+    assert there.read_text() == "mine"
+    assert call(*command, "--force") == 0
+    assert there.read_text() != "mine"
+
+
+def test_quiet_leaves_warnings_and_verbose_says_the_versions(tmp_path, capsys):
+    volts = random_volts(tmp_path / "volts.csv", rows=3)
+    words = ("simulate", volts, "--force", "--out", tmp_path / "run.csv", "--limits", "off")
+    assert call(*words, "--quiet") == 0
+    assert capsys.readouterr().err == ""
+    assert call(*words, "--verbose") == 0
+    assert capsys.readouterr().err.startswith("puma-sim ")
+
+
+def test_angles_have_the_unit_that_is_named(tmp_path):
+    volts = random_volts(tmp_path / "volts.csv", rows=3)
+    for name, start in (("deg", "0,-90deg,0.5"), ("rad", f"0,{-np.pi / 2!r},0.5rad")):
+        assert call("simulate", volts, "--out", tmp_path / name, "--initial", start) == 0
+    assert (tmp_path / "deg").read_bytes() == (tmp_path / "rad").read_bytes()
+
+
+def test_columns_of_other_names_and_units_are_read_and_others_left_out(tmp_path, capsys):
+    volts = random_volts(tmp_path / "volts.csv", rows=4)
+    rows = [line.split(",") for line in volts.read_text().splitlines()[1:]]
+    text = "".join(f"{float(t) * 1e3!r},{a},9,{b},{c}\n" for t, a, b, c in rows)
+    (tmp_path / "theirs.csv").write_text(f"t_ms,u,heat,voltage2,voltage3\n{text}")
+    assert call("simulate", volts, "--out", tmp_path / "a.csv") == 0
+    capsys.readouterr()
+    names = ("--columns", "time=t_ms,voltage1=u")
+    assert call("simulate", tmp_path / "theirs.csv", *names, "--out", tmp_path / "b.csv") == 0
+    assert "columns that are not used: heat" in capsys.readouterr().err
+    a, b = (np.loadtxt(tmp_path / name, delimiter=",", skiprows=1) for name in ("a.csv", "b.csv"))
+    np.testing.assert_allclose(b, a, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind, begin", [("png", b"\x89PNG"), ("svg", b"<?xml"), ("pdf", b"%PDF")])
+def test_a_log_is_drawn_the_same_each_time(kind, begin, tmp_path):
+    log = ROOT / "examples" / "pendulum.csv"
+    paths = [tmp_path / f"{name}.{kind}" for name in ("a", "b")]
+    for path in paths:
+        assert call("plot", log, "--plant", "pendulum", "--out", path) == 0
+    assert paths[0].read_bytes().startswith(begin)
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+
+
+def test_a_shell_completes_the_line(tmp_path):
+    pytest.importorskip("argcomplete")
+    answer = tmp_path / "answer"
+    line = "puma-sim simulate --initial-v"
+    environment = {"_ARGCOMPLETE": "1", "COMP_LINE": line, "COMP_POINT": str(len(line)), "_ARGCOMPLETE_IFS": " "}
+    puma_sim(_ARGCOMPLETE_STDOUT_FILENAME=str(answer), **environment)
+    assert answer.read_text().strip() == "--initial-velocity"

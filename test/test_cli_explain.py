@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 from cli_support import call
 from loop_support import EXPLANATIONS, faulty, named
 
 from puma_sim_core import identify as loop
+from puma_sim_core.identify.result import Agreement
 
 
 @pytest.fixture
@@ -27,6 +29,7 @@ def asked(monkeypatch):
         columns=None,
         seed=0,
         strict=False,
+        agreement=True,
         progress=None,
     ):
         seen.update(
@@ -38,6 +41,7 @@ def asked(monkeypatch):
             columns=columns,
             seed=seed,
             strict=strict,
+            agreement=agreement,
         )
         progress("screening", 0.5)
         return seen["gives"]
@@ -72,6 +76,7 @@ def test_options_go_to_the_analysis_and_files_come_out(asked, tmp_path, capsys):
         == 0
     )
     assert asked["logs"] == ["a.csv", "b.csv"] and asked["held_out"] == ["c.csv", "d.csv"]
+    assert asked["agreement"]
     assert (asked["plant"], asked["model"], asked["seed"]) == ("pendulum", "m.yaml", 7)
     assert asked["columns"] == {"time": "t_s", "voltage1": "motor_V", "position1": "q=rad"}
     shown = capsys.readouterr()
@@ -80,6 +85,13 @@ def test_options_go_to_the_analysis_and_files_come_out(asked, tmp_path, capsys):
         *(str(out / name) for name in ("report.json", "report.html", "model.yaml")),
     ]
     assert json.loads((out / "report.json").read_text())["verdict"] == "NAMED"
+
+
+def test_the_comparison_of_logs_is_printed_and_can_be_left_out(asked, tmp_path, capsys):
+    asked["gives"] = replace(named(), agreement=Agreement(("a", "b"), ("NAMED", "NAMED"), (), "Both name friction."))
+    assert call("explain", "a.csv", "b.csv", "--no-agreement", "--out", tmp_path) == 0
+    assert not asked["agreement"]
+    assert capsys.readouterr().out.splitlines()[:2] == [named().sentence, "Both name friction."]
 
 
 def test_defaults(asked, tmp_path):
@@ -94,10 +106,16 @@ def test_defaults(asked, tmp_path):
     ]
 
 
+def test_the_report_is_printed_as_json(asked, tmp_path, capsys):
+    assert call("explain", "a.csv", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["verdict"] == "NAMED"
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize("name", EXPLANATIONS)
-def test_every_verdict_is_a_success(name, asked, tmp_path, capsys):
+def test_every_verdict_but_a_fault_of_the_data_is_a_success(name, asked, tmp_path, capsys):
     asked["gives"] = EXPLANATIONS[name]()
-    assert call("explain", "a.csv", "--out", tmp_path) == 0
+    assert call("explain", "a.csv", "--out", tmp_path) == (3 if asked["gives"].verdict == "DATA_FAULT" else 0)
     assert capsys.readouterr().out.startswith(asked["gives"].sentence)
     assert (tmp_path / "model.yaml").exists() == (asked["gives"].model is not None)
 
@@ -105,7 +123,9 @@ def test_every_verdict_is_a_success(name, asked, tmp_path, capsys):
 def test_a_fault_leaves_no_model_of_an_earlier_record(asked, tmp_path):
     assert call("explain", "a.csv", "--out", tmp_path) == 0
     asked["gives"] = faulty()
-    assert call("explain", "a.csv", "--out", tmp_path) == 0
+    assert call("explain", "a.csv", "--out", tmp_path) == 2
+    assert (tmp_path / "model.yaml").exists()
+    assert call("explain", "a.csv", "--out", tmp_path, "--force") == 3
     assert sorted(path.name for path in tmp_path.iterdir()) == ["report.html", "report.json"]
 
 

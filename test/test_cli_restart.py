@@ -17,7 +17,8 @@ from cli_support import call, read_run, states
 
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.recording.recording import Recording, write_csv
-from puma_sim_core.simulation.simulator import Constraint, Simulator
+from puma_sim_core.simulation.conditions import Constraint
+from puma_sim_core.simulation.simulator import Simulator
 from puma_sim_core.simulation.windows import driven_current, local_motion, measured_state, run_windows, window_starts
 
 FRICTION = (
@@ -64,7 +65,10 @@ def option_words(effects):
 
 def restart(log, folder, *options, interval=2.0):
     write_csv(log, folder / "log.csv")
-    assert call("simulate", folder / "log.csv", "--out", folder / "run.csv", "--restart", interval, *options) == 0
+    assert (
+        call("simulate", folder / "log.csv", "--force", "--out", folder / "run.csv", "--restart", interval, *options)
+        == 0
+    )
     return read_run(folder / "run.csv")
 
 

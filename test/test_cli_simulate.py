@@ -49,7 +49,7 @@ def volts(tmp_path):
 
 
 def simulate(volts, out, *options):
-    assert call("simulate", volts, "--out", out, *options) == 0
+    assert call("simulate", volts, "--out", out, "--force", *options) == 0
     return read_run(out)
 
 

@@ -16,7 +16,8 @@ from scipy.integrate import solve_ivp
 from puma_sim_core.arm.rigid_body import gravity_torque
 from puma_sim_core.jit import BACKEND
 from puma_sim_core.plant.plant import Plant
-from puma_sim_core.simulation.simulator import Constraint, Simulator
+from puma_sim_core.simulation.conditions import Constraint
+from puma_sim_core.simulation.simulator import Simulator
 
 pytestmark = pytest.mark.long
 # rows of an hour; the interpreted kernel would take as long

@@ -13,7 +13,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from puma_sim_core.arm.inverse_kinematics import wrist_angles
-from puma_sim_core.arm.kinematics import wrist_position
+from puma_sim_core.arm.kinematics import wrist_motion, wrist_path, wrist_position
 from puma_sim_core.control.setpoints import smooth_share, straight_line, vertical_line
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.jit import interpreted
@@ -229,6 +229,9 @@ def test_wrist_angles_invert_the_wrist_position(q1, q2, q3):
     q = np.array([q1, q2, q3])
     assume(well_placed(q))
     point = wrist_position(q, ARM)
+    np.testing.assert_allclose(wrist_path(np.array([q, -q]), ARM)[0], point, rtol=0, atol=1e-15)
+    moved = wrist_position(q + 1e-30j * np.array([0.3, -0.7, 1.1]), ARM).imag / 1e-30
+    np.testing.assert_allclose(wrist_motion(q, (0.3, -0.7, 1.1), ARM)[1], moved, rtol=0, atol=1e-14)
     np.testing.assert_allclose(wrist_angles(point, ARM, q), q, rtol=0, atol=1e-9)
     np.testing.assert_allclose(
         wrist_position(wrist_angles(point, ARM, (0.0, 0.0, 0.0)), ARM), point, rtol=0, atol=1e-12

@@ -18,7 +18,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "examples"
-DERIVED = {"effects.md", "equations.md", "api.md"}
+DERIVED = {"effects.md", "equations.md", "api.md", "measures_table.md", "mechanism_numbers.md"}
 PAGES = [ROOT / "README.md", *(p for p in sorted((ROOT / "docs").glob("*.md")) if p.name not in DERIVED)]
 _BLOCK = re.compile(
     r"(?:^<!-- (?P<mark>[^\n]*) -->\n)?^```(?P<kind>bash|console|python)\n(?P<text>.*?)^```$", re.M | re.S
@@ -77,6 +77,20 @@ def test_each_block_says_whether_it_runs(page):
     assert len(blocks) == len(_FENCED.findall(page.read_text(encoding="utf-8")))
     for block in blocks:
         assert re.fullmatch(r"run|run long|not run: \S.*", block.mark), block.text
+
+
+def test_no_example_writes_what_another_wrote():
+    """All pages can be followed one after the other in one folder."""
+    written = [
+        name
+        for page in PAGES
+        for block in blocks_of(page)
+        if block.kind == "bash" and block.mark in ("run", "run long")
+        for line in block.text.replace("\\\n", " ").splitlines()
+        if "--force" not in line
+        for name in re.findall(r"(?:--out|--export|mechanism new) (\S+)", line)
+    ]
+    assert sorted(written) == sorted(set(written))
 
 
 @pytest.mark.parametrize("page", pages_with("run"), ids=lambda page: page.name)
@@ -149,7 +163,7 @@ def test_the_example_of_the_command_line_runs(tmp_path):
         text=True,
     )
     assert ran.returncode == 0, ran.stderr
-    assert "coulomb_friction" in ran.stdout
+    assert "Coulomb friction" in ran.stdout
     assert (out / "run.csv").exists()
 
 

@@ -22,7 +22,8 @@ from puma_sim_core.effects import KINDS
 from puma_sim_core.effects.soft_stop import stop_torque
 from puma_sim_core.jit import interpreted
 from puma_sim_core.plant.plant import Plant
-from puma_sim_core.simulation.simulator import SERVO_PERIOD, Constraint, Simulator
+from puma_sim_core.simulation.conditions import Constraint
+from puma_sim_core.simulation.simulator import SERVO_PERIOD, Simulator
 
 HOLD = Constraint("hold")
 R = 1.6

@@ -25,7 +25,8 @@ from puma_sim_core.effects.impulse import pulse_torque
 from puma_sim_core.jit import interpreted
 from puma_sim_core.plant.plant import Plant
 from puma_sim_core.simulation.batch import InitialState, run_batch
-from puma_sim_core.simulation.simulator import SERVO_PERIOD, Constraint, Simulator
+from puma_sim_core.simulation.conditions import Constraint
+from puma_sim_core.simulation.simulator import SERVO_PERIOD, Simulator
 
 HOLD = Constraint("hold")
 MOTORS = arm_of("bejczy").motors

@@ -19,7 +19,8 @@ from puma_sim_core.effects.base import Stage
 from puma_sim_core.effects.registry import WIDTH, active_stages, pack, slot
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.plant.plant import Plant
-from puma_sim_core.simulation.simulator import Constraint, Simulator
+from puma_sim_core.simulation.conditions import Constraint
+from puma_sim_core.simulation.simulator import Simulator
 
 #: the effects that the issues ask for
 PROMISED = {
@@ -249,7 +250,7 @@ def test_values_left_out_are_defaults_or_come_from_the_arm():
 @pytest.mark.parametrize(
     "text, message",
     [
-        ("", "unknown effect ''; expected one of viscous_friction"),
+        ("", "unknown effect ''; expected one of those of `puma-sim list`"),
         ("magic:joint=1", "effect 'magic:joint=1': unknown effect 'magic'"),
         (
             "coulomb_friction:joint=1,torqe=3",
@@ -259,7 +260,7 @@ def test_values_left_out_are_defaults_or_come_from_the_arm():
             "coulomb_friction:joint=1",
             r"effect coulomb_friction: 'torque' is missing; expected torque=VALUE in N.m \(Fc, at the",
         ),
-        ("coulomb_friction:torque=3", "coulomb_friction: joint None; expected joint=1, 2 or 3"),
+        ("coulomb_friction:torque=3", "coulomb_friction: no joint; expected joint=1, 2 or 3"),
         ("coulomb_friction:joint=4,torque=3", "coulomb_friction: joint 4; expected joint=1, 2 or 3"),
         ("coulomb_friction:joint=0,torque=3", "joint 0; expected joint=1, 2 or 3"),
         ("coulomb_friction:joint=1.5,torque=3", "joint=1.5; expected joint=1, 2 or 3"),

@@ -60,7 +60,7 @@ def quick(monkeypatch):
 def written(tmp_path, *arguments, name="volts.csv"):
     """Bytes of what the command writes."""
     path = tmp_path / name
-    assert main(["excite", "--out", str(path), "--seconds", "3", *arguments]) == 0
+    assert main(["excite", "--force", "--out", str(path), "--seconds", "3", *arguments]) == 0
     return path.read_bytes()
 
 
@@ -175,6 +175,22 @@ def test_it_is_better_than_a_plain_motion_on_the_arm(designs):
     assert designs["pendulum"].nats > 1.5 * designs["pendulum"].plain
 
 
+def test_several_are_told_apart_each_from_each():
+    machine = MACHINES["pendulum"]
+    suspects = suspects_of(["coulomb_friction", "voltage_dead_band", "voltage_offset"], machine)
+    builder = Builder(machine, Limits.of(machine), 6.0)
+    judge = Judge(builder, suspects)
+    assert len(judge.directions) == 6
+    # the distances are those of the pairs alone
+    motion = builder.plain()
+    together = dict(zip(judge.directions, judge.on_plan(motion)))
+    for n, m in ((0, 1), (1, 2)):
+        pair = Judge(builder, (suspects[n], suspects[m]))
+        assert [d.nats for d in pair.on_plan(motion)] == pytest.approx([together[n, m].nats, together[m, n].nats])
+    found = design(machine, suspects, motions=6, seconds=6.0)
+    assert found.one_way is None and "voltage_dead_band@1 and voltage_offset@1" in found.sentence
+
+
 def test_a_special_case_is_told_one_way_only(designs):
     assert designs["pendulum"].one_way == "stribeck_friction@1"
     assert "special case" in designs["pendulum"].sentence
@@ -252,7 +268,7 @@ def test_simulate_takes_the_file_and_the_pose(tmp_path, capsys, quick):
         (["--separate", "coulomb_friction@two"], "joint 'two'"),
         (["--separate", "payload@3"], "the whole arm"),
         (["--separate", "coulomb_friction@2,coulomb_friction", "--joint", "2"], "twice"),
-        (["--separate", "payload,base_tilt,input_delay"], "one or two"),
+        (["--separate", "payload,base_tilt,input_delay,supply_droop,sensor_lag@1"], "up to 4"),
         (["--separate", ""], "unknown effect ''"),
         (["--plant", "pendulum", "--separate", "base_tilt"], "no meaning on pendulum"),
         (["--separate", "payload", "--seconds", "1"], "2 to 600 s"),
@@ -287,6 +303,10 @@ def test_the_first_tie_is_to_be_broken():
     for each in found.separate:
         needed = KINDS[each.name].screening.excitation
         assert needed[1:] in found.sentence
+    more = next_experiment(
+        machine, [(*ties[2], Hypothesis("voltage_offset", 2), Hypothesis("impulse", 2))], [], "x.csv"
+    )
+    assert more.separate == (*ties[2], Hypothesis("voltage_offset", 2))
     words = shlex.split(found.command)
     options = parser().parse_args(words[1:])
     assert words[0] == "puma-sim" and options.parameters == "my set.yaml"

@@ -25,7 +25,8 @@ from scipy.integrate import solve_ivp
 from puma_sim_core.arm.parameters import parameter_sets
 from puma_sim_core.arm.third_order import acceleration_from_current, jerk
 from puma_sim_core.jit import BACKEND
-from puma_sim_core.simulation.simulator import CONSTRAINTS, Constraint, Simulator
+from puma_sim_core.simulation.conditions import CONSTRAINTS, Constraint
+from puma_sim_core.simulation.simulator import Simulator
 
 VOLTAGE = (20.0, -15.0, 10.0)
 #: q(0.5 s) from START with VOLTAGE held, by form of equation 5.2

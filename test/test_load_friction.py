@@ -21,10 +21,12 @@ from screening_support import recorded, signals_of, torque_per_ampere
 from puma_sim_core.effects import KINDS, Effect, parse_effect
 from puma_sim_core.effects.base import Role
 from puma_sim_core.identify.screening.known_effects import known_voltage
+from puma_sim_core.plant.linkage_file import linkage_mapping, read_linkage
+from puma_sim_core.plant.linkage_plant import LinkagePlant
 from puma_sim_core.plant.mechanism_file import load_mechanism
-from puma_sim_core.plant.one_joint import OneJoint, OneJointPlant
 from puma_sim_core.simulation.batch import InitialState, run_batch
-from puma_sim_core.simulation.simulator import Constraint, Simulator
+from puma_sim_core.simulation.conditions import Constraint
+from puma_sim_core.simulation.simulator import Simulator
 
 NAME = "load_dependent_friction"
 WEIGHT, INERTIA, VISCOUS, KT, R = 0.49 * 9.81 * 0.1, 0.49 * 0.01 + 0.0019, 0.0066, 0.334, 3.29
@@ -33,7 +35,7 @@ HOLD = Constraint("hold")
 
 
 def pendulum(drive, *effects):
-    mapping = load_mechanism("pendulum").body.to_mapping()
+    mapping = linkage_mapping(load_mechanism("pendulum").body)
     if drive == "current":
         mapping["drive"] = {
             "amplifier": "current",
@@ -41,8 +43,8 @@ def pendulum(drive, *effects):
             "motor_inertia": mapping["drive"]["motor_inertia"],
             "viscous_friction": mapping["drive"]["viscous_friction"],
         }
-    body = OneJoint.from_mapping({k: v for k, v in mapping.items() if k != "format"})
-    return OneJointPlant.of(body, map(parse_effect, effects), DRIVES[drive])
+    body = read_linkage({k: v for k, v in mapping.items() if k != "format"})
+    return LinkagePlant.of(body, map(parse_effect, effects), DRIVES[drive])
 
 
 class Oracle:

@@ -14,6 +14,7 @@ import pytest
 
 pytest.importorskip("scipy")
 
+from report_checks import contradictions
 from score import scoring
 
 from puma_sim_core.identify import explain
@@ -92,6 +93,11 @@ def test_faulty_data_get_no_name_but_channel_and_row(name):
     assert report["effects"] == [] and report["shape"] is None
     right = scoring.fault_right({"report": report}, answer(name)["faults"])
     assert right == (True, True, True), report["faults"]
+
+
+@pytest.mark.parametrize("name", (*NOTHING, *SINGLE, PAIR, OUTSIDE, *FAULTS))
+def test_a_report_agrees_with_itself(name):
+    assert contradictions(explained(name)) == []
 
 
 def test_most_intervals_hold_the_truth():

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from loop_logs import pieces, record
@@ -54,9 +56,29 @@ def test_what_is_there_lowers_the_error_and_what_is_not_does_not():
     friction = "coulomb_friction:joint=1,torque=0.02"
     folds, fitted = fits(friction)
     with_it, without = fitted(friction, "torque"), fitted(None)
-    assert folds.lower(with_it, without)
-    assert not folds.lower(without, with_it)
-    assert not folds.lower(without, without)
+    assert folds.better(with_it, without)
+    assert not folds.better(without, with_it)
+    assert not folds.better(without, without)
+
+
+@pytest.mark.parametrize(
+    "more, density, better",
+    [
+        ([-1.0, -1.1, -0.9, -1.0], -5.0, True),  # less error in the windows
+        ([1.0, 1.1, 0.9, 1.0], 5.0, False),  # more of it, beyond two standard errors
+        ([3.0, -1.0, -1.0, 0.0], 5.0, True),  # more of it, within two: the density decides
+        ([3.0, -1.0, -1.0, 0.0], -5.0, False),
+        ([np.nan, np.nan, np.nan, np.nan], -5.0, True),  # nothing to measure it at
+    ],
+)
+def test_windows_decide_beyond_two_standard_errors_and_else_the_density(monkeypatch, more, density, better):
+    folds = CrossValidation([None] * 4)
+    one, other = SimpleNamespace(name="one"), SimpleNamespace(name="other")
+    windows = {"one": [10.0 + m for m in more], "other": [10.0] * 4}
+    monkeypatch.setattr(folds, "_points", lambda model: windows[model.name])
+    monkeypatch.setattr(folds, "_window_square", lambda fold, point: point)
+    monkeypatch.setattr(folds, "_density", lambda model, points: density if model is one else 0.0)
+    assert folds.better(one, other) is better
 
 
 def test_each_fold_is_predicted_by_parameters_fitted_to_the_others():
@@ -109,7 +131,7 @@ def test_what_the_other_folds_tell_nothing_of_follows_what_they_do_tell():
     before, after = (p.effects[0].values["torque"] for p in (model.fitted.point, point))
     assert abs(before - best) > 1e-4 and abs(after - best) < 0.1 * abs(before - best)
     # without the blow the parameters give way to it
-    assert folds.lower(model, fitted(None))
+    assert folds.better(model, fitted(None))
 
 
 def test_logs_for_validation_are_predicted_as_they_are():
@@ -138,4 +160,4 @@ def test_without_any_window_nothing_is_said_against_a_name():
     weighting = predictor.unfiltered_weighting(predictor.errors(mechanism.plant()))
     model = WeightedModel(Fitted(Point(mechanism.start, ()), np.zeros((0, 1)), 0.0, ()), weighting)
     assert np.isnan(folds.position_rms(model)).all()
-    assert folds.lower(model, model)
+    assert folds.better(model, model)

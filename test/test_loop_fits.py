@@ -13,7 +13,7 @@ from loop_logs import pieces, record
 
 from puma_sim_core.effects import KINDS, Effect, parse_effect
 from puma_sim_core.identify import explain
-from puma_sim_core.identify.fitting.prediction import Point, PredictionFit, bounded_step
+from puma_sim_core.identify.fitting.prediction import Point, PredictionFit, Slopes, bounded_step
 from puma_sim_core.identify.fitting.trials import Base, Trials
 from puma_sim_core.identify.screening.evidence import Scored
 from puma_sim_core.identify.selection.refits import Refits
@@ -54,8 +54,10 @@ def test_a_fit_comes_to_the_place(text, off):
     errors = fit.errors(Point(PENDULUM.start, (true,)))
     # better than the truth by what noise gives to so many parameters
     assert found.objective < fit.objective(errors, Point(PENDULUM.start, ()))
+    # to the place where a fit from the truth ends
+    best = fit.run(Point(PENDULUM.start, (true,)), [(0, name) for name in off], rounds=8)
     for name, change in off.items():
-        left = abs(found.point.effects[0].values[name] - true.values[name])
+        left = abs(found.point.effects[0].values[name] - best.point.effects[0].values[name])
         assert left < 0.2 * abs(change), (name, found.point.effects[0].values)
 
 
@@ -65,7 +67,7 @@ def test_a_fit_comes_back_from_where_parameters_took_the_place_of_an_effect():
     true = Point(PENDULUM.start, (friction,))
     far = Point(PENDULUM.clip(PENDULUM.start + 3.0 * PENDULUM.deviations), true.effects)
     pairs = ((0, "torque"),)
-    known = fit.whitened(fit.derivatives(true, pairs))
+    known = Slopes.of(fit.whitened(fit.derivatives(true, pairs)))
     stopped = fit.run(far, (), jacobian=known, frozen=pairs, rounds=0)
     back = fit.from_start(stopped, known)
     assert back.objective < stopped.objective
@@ -95,7 +97,7 @@ def test_a_step_that_leaves_a_bent_valley_is_followed_by_one_back_into_it():
     fit = Valley()
     start = Point(np.array([0.8]), (parse_effect("coulomb_friction:joint=1,torque=15"),))
     # derivatives per deviation and per size, about the start
-    known, pairs = 10.0 * np.array([[15.0 * 0.1, 0.8 * 15.0]]), ((0, "torque"),)
+    known, pairs = Slopes.of(10.0 * np.array([[15.0 * 0.1, 0.8 * 15.0]])), ((0, "torque"),)
     step = fit._newton(known, start, fit.errors(start), pairs)
     (_, away), (point, back), *_ = fit._tried(known, start, step, pairs)
     assert abs(back).max() < 0.3 * abs(away).max()

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import gzip
 import subprocess
 import sys
 import tracemalloc
@@ -112,6 +113,18 @@ def test_missing_files_directories_and_binary_junk(file, tmp_path):
     file.write_bytes(bytes(range(128, 256)) * 10)
     with pytest.raises(RecordingError, match="not text"):
         read_log(file, joints=1)
+
+
+def test_a_file_that_gzip_packed_is_read_as_it_was_and_a_damaged_one_is_refused(file, tmp_path):
+    write(file, NAMES, "0,1,2", "1,3,4")
+    packed = tmp_path / "log.csv.gz"
+    packed.write_bytes(gzip.compress(file.read_bytes()))
+    plain, unpacked = (read_log(path, joints=1) for path in (file, packed))
+    for name in ("time", "voltage", "position", "lines"):
+        assert np.array_equal(getattr(plain, name), getattr(unpacked, name))
+    packed.write_bytes(packed.read_bytes()[:-6])
+    with pytest.raises(RecordingError, match=r"log\.csv\.gz: is compressed and damaged .*expected a whole gzip file"):
+        read_log(packed, joints=1)
 
 
 def test_a_number_that_is_missing_is_left_to_the_gate(file):

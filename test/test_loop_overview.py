@@ -1,17 +1,19 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Logs as people have them: other delimiters, units in names, other names; and what a log holds before any fit."""
 
+from datetime import datetime, timedelta
+
 import numpy as np
 import pytest
 from cli_support import ROOT, call, puma_sim
 from loop_logs import record
 
 from puma_sim_core.errors import RecordingError
-from puma_sim_core.identify.data.column_names import suggested, unit_of
 from puma_sim_core.identify.data.ingest import read_log
 from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.overview import overview
 from puma_sim_core.plant.mechanism_file import load_mechanism
+from puma_sim_core.recording.column_names import suggested, unit_of
 from puma_sim_core.recording.csv_rows import CsvRows
 
 PENDULUM = load_mechanism("pendulum")
@@ -48,10 +50,95 @@ def assert_numbers(file, text, decimal):
     assert np.array_equal(block.values, ROWS)
 
 
-def test_a_decimal_comma_between_commas_is_refused_by_its_line(file):
-    file.write_text("time,voltage1\n0,0,1\n", encoding="utf-8")
-    with pytest.raises(RecordingError, match=r"line 2: 3 fields; expected 2 numbers"):
+@pytest.mark.parametrize(
+    "row, words",
+    [
+        ("0,0,1", "line 2: 3 fields; expected 2 numbers"),
+        ('0,"0,1"', "line 2, column voltage1: '0,1'; expected a number"),
+    ],
+)
+def test_a_decimal_comma_between_commas_is_refused_by_its_line(file, row, words):
+    file.write_text(f"time,voltage1\n{row}\n", encoding="utf-8")
+    with pytest.raises(RecordingError, match=f"{words}.*decimal commas, a semicolon or a tab"):
         list(CsvRows(file).blocks(range(2)))
+
+
+TITLES = "Rig 4,run of May,\n2nd axis held\n"
+
+
+@pytest.mark.parametrize(
+    "title, units, scales",
+    [
+        ("", "s,V,rad", (1.0, 1.0, 1.0)),
+        (TITLES, "", (1.0, 1.0, 1.0)),
+        (TITLES, "[ms],(mV),deg", (1e-3, 1e-3, np.pi / 180.0)),
+        ("", ",mV,", (1.0, 1e-3, 1.0)),
+    ],
+)
+def test_titles_are_skipped_and_a_line_of_units_is_obeyed(file, title, units, scales):
+    rows = ["0,1.5,-0.25", "10,2,0.001", "20,-3.25,4"]
+    file.write_text("\n".join([title + "time,voltage1,position1", *filter(None, [units]), *rows, ""]))
+    log = read_log(file, joints=1)
+    table = np.column_stack([log.time, log.voltage, log.position])
+    assert np.allclose(table, np.array([row.split(",") for row in rows], float) * scales, rtol=1e-15)
+    before = title.count("\n") + 1 + bool(units)
+    assert log.lines.tolist() == [before + 1, before + 2, before + 3]
+    assert any("lines before the names" in note for note in log.notes) == bool(title)
+    if units and not title:  # not so in files of commands, where a text is a mistake
+        with pytest.raises(RecordingError, match="line 2, column .* expected a number"):
+            list(CsvRows(file).blocks(range(3), finite=True))
+
+
+@pytest.mark.parametrize(
+    "line, words",
+    [
+        ("time,voltage1,position1", "'time'"),
+        ("s,V,inch", "column position1: 'inch'; expected a number, or a unit among rad, deg"),
+    ],
+)
+def test_a_second_header_that_is_no_line_of_units_is_refused_by_its_line(file, line, words):
+    file.write_text(f"time,voltage1,position1\n{line}\n0,1,2\n")
+    with pytest.raises(RecordingError, match=f"line 2, .*{words}") as error:
+        read_log(file, joints=1)
+    assert "begins with #" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "form, zone",
+    [("{:%Y-%m-%dT%H:%M:%S.%f}", ""), ("{:%Y-%m-%d %H:%M:%S.%f}", "Z"), ("{:%Y-%m-%dT%H:%M:%S.%f}", "000+05:30")],
+)
+def test_dates_are_times_since_the_first_one(file, form, zone):
+    begin, steps = datetime(2026, 12, 31, 23, 59, 59, 990000), 1e-3 * np.arange(2000)
+    dates = [form.format(begin + timedelta(seconds=float(step))) + zone for step in steps]
+    file.write_text("\n".join(["time,voltage1,position1", *(f"{date},1,2" for date in dates), ""]))
+    assert np.allclose(read_log(file, joints=1).time, steps, rtol=0.0, atol=1e-9)
+    # a change of the zone is none of the time, and a date is no voltage
+    file.write_text("time,voltage1,position1\n2026-03-29T01:59:59.5+01:00,1,2\n2026-03-29T03:00:00+02:00,1,2\n")
+    assert read_log(file, joints=1).time.tolist() == [0.0, 0.5]
+    for bad in ("2026-03-29T01:00:00,2026-03-29,2", "2026-13-29T01:00:00,1,2"):
+        file.write_text(f"time,voltage1,position1\n0,1,2\n{bad}\n")
+        with pytest.raises(RecordingError, match="line 3, column (time|voltage1): '2026.* or a date such as"):
+            read_log(file, joints=1)
+
+
+@pytest.mark.parametrize("factor, unit", [(1e3, "ms"), (1e6, "us"), (1e9, "ns")])
+def test_times_in_another_unit_are_refused_with_the_name_that_helps(file, factor, unit):
+    log = record(PENDULUM, PENDULUM.plant(), seconds=3.0)
+    table = np.column_stack([factor * log.time, log.voltage, log.position]).tolist()
+    rows = [",".join(map(repr, row)) for row in table]
+    file.write_text("\n".join(["time,voltage1,position1", *rows, ""]))
+    (fault,) = overview(read_log(file, joints=1), PENDULUM).checked.faults
+    assert fault.channel == "time" and f"if these are {unit}, a column named time_{unit}" in fault.what
+    file.write_text("\n".join([f"time_{unit},voltage1,position1", *rows, ""]))
+    columns = suggested([f"time_{unit}", "voltage1", "position1"], ("voltage",))
+    assert np.allclose(read_log(file, columns, 1).time, log.time, rtol=0.0, atol=1e-9)
+
+
+def test_columns_in_each_others_place_are_suspected():
+    log = read_log(ROOT / "examples" / "pendulum.csv", joints=1)
+    found = overview(Log("exchanged", log.time, log.position, log.voltage), PENDULUM)
+    assert found.exchanged and "voltages and positions exchanged?" in "\n".join(found.lines("rad"))
+    assert not overview(Log("great", log.time, 1e3 * log.voltage, log.position), PENDULUM).exchanged
 
 
 @pytest.mark.parametrize(
@@ -101,7 +188,7 @@ def test_units_in_the_names_are_converted_with_a_note(file):
     ],
 )
 def test_columns_are_suggested_by_their_names_or_not_at_all(names, joints, expected):
-    found = suggested(names, joints)
+    found = suggested(names, ("voltage",) * joints)
     assert expected.items() <= found.items() and bool(found) == bool(expected)
 
 
@@ -145,4 +232,4 @@ def test_a_dry_run_says_what_is_left_out_and_writes_nothing(tmp_path, capsys, mo
 
 def test_explain_without_a_folder_says_how_to_look_first(capsys):
     assert call("explain", ROOT / "examples" / "pendulum.csv", "--plant", "pendulum") == 2
-    assert "expected --out DIR, or --dry-run" in capsys.readouterr().err
+    assert "expected --out DIR for a report, or" in capsys.readouterr().err

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from puma_sim_core.effects import parse_effect
+from puma_sim_core.executors import THREADS
 from puma_sim_core.identify import parallel
 from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
@@ -19,7 +20,7 @@ from puma_sim_core.simulation.simulator import Simulator
 
 @pytest.mark.parametrize("cores", [1, 2, 5])
 def test_results_keep_the_order_of_the_items(monkeypatch, cores):
-    monkeypatch.setattr(parallel, "CORES", cores)
+    monkeypatch.setenv(THREADS, str(cores))
     barrier = threading.Barrier(cores)
 
     def square(k):
@@ -33,7 +34,7 @@ def test_results_keep_the_order_of_the_items(monkeypatch, cores):
 
 @pytest.mark.parametrize("cores", [1, 3])
 def test_the_first_error_is_raised(monkeypatch, cores):
-    monkeypatch.setattr(parallel, "CORES", cores)
+    monkeypatch.setenv(THREADS, str(cores))
     with pytest.raises(KeyError, match="2"):
         parallel.parallel_map({0: 0, 1: 1}.__getitem__, (0, 1, 2, 3))
 
@@ -49,7 +50,7 @@ def test_derivatives_have_the_same_bits_on_any_number_of_cores(monkeypatch):
     log = Log("own", time, volts, simulator.run(time, volts).position)
     found = []
     for cores in (1, 4):
-        monkeypatch.setattr(parallel, "CORES", cores)
+        monkeypatch.setenv(THREADS, str(cores))
         predictor = Predictor([log], arm, [lambda t: t > 1e9], np.full(3, 0.05), np.full(3, 3e-5))
         fit = PredictionFit(predictor, predictor.unfiltered_weighting(predictor.errors(plant)))
         found.append(fit.derivatives(Point(arm.start * 1.01, plant.effects[-1:]), [(0, "torque"), (0, "stiffness")]))

@@ -25,9 +25,10 @@ from puma_sim_core.identify.report.figures import residual_against, residual_in_
 from puma_sim_core.identify.report.html import page
 from puma_sim_core.identify.report.json import report_text
 from puma_sim_core.identify.report.output import check_folder, write_explanation
-from puma_sim_core.identify.report.text import estimate, number, quantity
+from puma_sim_core.identify.report.text import estimate
 from puma_sim_core.identify.result import VERDICTS, Interval, NamedEffect
 from puma_sim_core.pages.drawing import svg
+from puma_sim_core.pages.text import number, quantity
 from puma_sim_core.plant.model_file import load_model
 from puma_sim_core.resources import config_path
 

@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from loop_logs import pieces, record
 
+from puma_sim_core.effects.screening import VOLTAGE_COLUMN, Candidate
 from puma_sim_core.identify import explain
-from puma_sim_core.identify.fitting.prediction import Fitted, Point
+from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
 from puma_sim_core.identify.residuals.shape import Curve, again, noise, simplest_first
 from puma_sim_core.identify.residuals.unnamed import Unnamed
+from puma_sim_core.identify.screening.causal import CausalScreen
 from puma_sim_core.identify.screening.evidence import Estimate, Scored
 from puma_sim_core.plant.mechanism_file import load_mechanism
 
@@ -38,6 +40,30 @@ def test_the_joint_and_the_axis_of_what_has_no_name(volts, axis, way):
     found = explain(record(ARM, ARM.plant(), 0.05, 2e-5, seconds=6.0, unlogged=volts))
     assert found.shape is not None, found.sentence
     assert (found.shape.joint, found.shape.axis, found.shape.way) == (2, axis, way)
+
+
+def test_columns_in_blocks_are_a_wave_of_voltage_through_the_response_of_the_predictor():
+    mechanism = load_mechanism("pendulum")
+    log = record(mechanism, mechanism.plant(), 0.05, 2e-5, seconds=4.0)
+    problem, _, predictor = pieces(mechanism, log, 0.05, 2e-5)
+    point = Point(mechanism.start, ())
+    raw = predictor.errors(point.plant(mechanism))
+    fit = PredictionFit(predictor, predictor.unfiltered_weighting(raw))
+    causal = CausalScreen(fit, point, fit.weighting(raw), fit.whitened(fit.derivatives(point, ())), problem)
+    assert causal.block > 1
+    time, blocks = causal.signals.time, causal.block_times(0)
+    settled = blocks > time[0] + 1.5
+    for frequency in (2.0, 11.0, 90.0):
+        wave = np.exp(2j * np.pi * frequency * time)
+        candidate = Candidate(
+            ({0: wave.imag}, {0: wave.real}), VOLTAGE_COLUMN, np.zeros(2), np.ones(2), lambda heights: {}, {}
+        )
+        (gain,) = causal.response(0, np.array([frequency]))
+        # `response` has means over time, the columns those of rows
+        x = np.pi * frequency * predictor.step
+        expected = gain * x / np.sin(x) * np.exp(2j * np.pi * frequency * blocks)
+        found = causal.columns(candidate)[0] @ [1j, 1.0]
+        assert np.abs(found - expected)[settled].max() < 1e-4 * abs(gain)
 
 
 def test_a_line_in_time_stays_the_same_in_another_noise():

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from scipy.stats import multivariate_normal
 
 from puma_sim_core.identify.data import filters
@@ -13,7 +14,9 @@ from puma_sim_core.identify.data.sampling import sample
 from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
 from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.noise import residual as noise
+from puma_sim_core.identify.noise.weighting import Weighting
 from puma_sim_core.identify.screening.evidence import log_gain
+from puma_sim_core.identify.settings import FITTING
 from puma_sim_core.plant.mechanism_file import load_mechanism
 from puma_sim_core.simulation.simulator import Simulator
 
@@ -189,3 +192,48 @@ def test_a_fit_of_prediction_errors_finds_the_parameters_and_the_effect(true_log
     found = fit.run(Point(arm.start, (start,)), ((0, "voltage"),), rounds=3)
     assert found.point.effects[0].values["voltage"] == pytest.approx(0.12, abs=0.02)
     assert np.abs((found.point.theta - arm.start) / arm.deviations).max() < 2.5
+
+
+@pytest.mark.parametrize("step", (1e-3, 5e-3, 0.02))
+@pytest.mark.parametrize("name, noise", (("pendulum", 1e-4), ("pendulum", 1e-3), ("slide", 1e-6)))
+def test_a_predictor_without_a_noise_of_its_own_forgets_within_the_settling_time(name, noise, step):
+    mechanism = load_mechanism(name)
+    time = step * np.arange(int(3.0 / step))
+    still = Log("still", time, np.zeros((len(time), 1)), np.zeros((len(time), 1)))
+    predictor = Predictor([still], mechanism, [nothing_held], None, np.array([noise]))
+    F, _, gain = predictor.linear[0]
+    kept = F @ (np.eye(len(F)) - np.outer(gain, np.eye(1, len(F))))
+    slowest = np.abs(np.linalg.eigvals(kept)).max()
+    assert slowest ** (FITTING.settling_time / step) <= FITTING.forgotten * 1.001
+    # and is no faster than that, or the least noise of the voltage, asks for
+    drive = mechanism.drive(mechanism.start)
+    least = FITTING.least_gain_noise * drive.volts_per_torque * mechanism.torque_scale
+    assert np.all(predictor.volts >= least * (1.0 - 1e-12))
+    if predictor.volts[0] == pytest.approx(float(least[0])):
+        return
+    slower = Predictor([still], mechanism, [nothing_held], 0.9 * predictor.volts, np.array([noise]))
+    F, _, gain = slower.linear[0]
+    kept = F @ (np.eye(len(F)) - np.outer(gain, np.eye(1, len(F))))
+    assert np.abs(np.linalg.eigvals(kept)).max() > slowest
+
+
+def test_what_is_read_back_at_the_end_of_a_log_is_as_good_as_elsewhere(true_log, arm):
+    volts = true_log.voltage.copy()
+    volts[:, 1] += 0.3
+    predictor = Predictor(
+        [Log("lost", true_log.time, volts, true_log.position)], arm, [nothing_held], np.full(3, 0.05), np.full(3, 3e-5)
+    )
+    found = predictor.in_volts(predictor.errors(arm.plant(arm.start)), 25.0)[:, 1]
+    assert np.abs(found[600:] - 0.3).max() < 0.03
+
+
+def test_the_floor_in_volts_is_that_of_innovations_which_the_weighting_makes_white(true_log, arm):
+    predictor = Predictor([true_log], arm, [nothing_held], np.full(3, 0.05), np.full(3, 3e-5))
+    rng = np.random.default_rng(2)
+    taps = np.array([1.0, -0.6, 0.1])
+    weighting = Weighting(np.tile(taps, (3, 1)), np.array([1e-5, 2e-5, 3e-5]), predictor.lengths)
+    white = rng.standard_normal((predictor.lengths[0], 3))
+    errors = lfilter([1.0], taps, white, axis=0) * weighting.scale
+    assert np.allclose(weighting(errors), white)
+    measured = predictor.in_volts(errors, 25.0)[200:-200].std(axis=0)
+    assert predictor.floor_in_volts(25.0, weighting) == pytest.approx(measured, rel=0.15)

@@ -14,18 +14,20 @@ from trace_form import arm_table, trace_coriolis, trace_gravity, trace_inertia
 
 from puma_sim_core.arm.kinematics import first_derivatives
 from puma_sim_core.arm.rigid_body import arm_pseudo_inertias
+from puma_sim_core.checks import Reader
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.errors import ModelError, ParameterError, PumaSimError
 from puma_sim_core.files import yaml_text
 from puma_sim_core.identify.screening.known_effects import known_voltage
+from puma_sim_core.plant.linkage_file import read_linkage
 from puma_sim_core.plant.mechanism_file import load_mechanism, mechanism_names
 from puma_sim_core.plant.model_file import dump_model, load_model, plant_of_mapping
-from puma_sim_core.plant.one_joint import OneJoint
 from puma_sim_core.plant.plant import Plant
 from puma_sim_core.recording.recording import Recording, write_csv
 from puma_sim_core.resources import config_path
 from puma_sim_core.simulation.simulator import Simulator
 
+OTHERS = ("pendulum", "slide", "dfki_pendulum", "dfki_double_a0", "dfki_double_c0", "dfki_double_c1", "qube_pendulum")
 RNG = np.random.default_rng(20)
 
 
@@ -78,7 +80,7 @@ def test_gravity_tilt_is_gravity_along_the_other_axes_of_the_base():
     assert_allclose(side / c1, (side / c1)[0] * np.ones(len(q)), atol=1e-9)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", (*NAMES, "dfki_double_a0", "qube_pendulum"))
 def test_derivatives_are_those_of_differences(name):
     mechanism = load_mechanism(name)
     theta = moved(mechanism)
@@ -205,7 +207,7 @@ def test_known_effects_account_for_the_voltage_that_they_take(name, effects):
 
 
 def test_the_mechanisms_of_the_house():
-    assert mechanism_names() == ["puma560", "dfki_pendulum", "pendulum", "slide"]
+    assert mechanism_names() == ["puma560", *sorted(OTHERS)]
     sizes = {name: load_mechanism(name) for name in NAMES}
     assert [len(m.parameters) for m in sizes.values()] == [39, 8, 3]
     for mechanism in sizes.values():
@@ -217,7 +219,7 @@ def test_the_mechanisms_of_the_house():
     assert [sizes["slide"].unit(u) for u in ("N.m", "rad", "N.m.s/rad", "V", "1")] == ["N", "m", "N.s/m", "V", "1"]
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", (*NAMES, "qube_pendulum"))
 def test_a_model_file_gives_the_plant_and_the_mechanism_back(name, tmp_path):
     mechanism = load_mechanism(name)
     effects = [
@@ -255,7 +257,7 @@ def broken(change):
     mapping = pendulum_mapping()
     change(mapping)
     with pytest.raises(PumaSimError) as caught:
-        OneJoint.from_mapping(mapping, "rig.yaml")
+        read_linkage(mapping, Reader("rig.yaml"))
     return str(caught.value)
 
 
@@ -276,10 +278,13 @@ def test_errors_of_a_file_name_key_and_expectation():
         (put("body.mass", unit="g"), ("body.mass.unit: unit 'g'", "expected kg")),
         (put("body.length", value=-0.1), ("body.length.value: -0.1", "finite number")),
         (put("drive.resistance", value=float("nan")), ("drive.resistance.value: nan",)),
+        (put("body.mass", value=1e30), ("body.mass.value: 1e+30", "from 0 to 1e+06")),
+        (put("drive.resistance", value=1e30), ("drive.resistance.value: 1e+30", "above 0, at most 1e+09")),
         (put("drive.resistance", known=True), ("relative_deviation and known", "one of")),
         (put("drive.inductance", value=1e-5), ("time constant of 0.00304 ms", "negligible")),
         (lambda m: m["drive"].update(amplifier="steam"), ("'steam'", "voltage or current")),
         (lambda m: m["range"].update(value=[1.0, -1.0]), ("range.value: from 1 to -1",)),
+        (lambda m: m["range"].update(value=[-3.2, 1e30]), ("range.value: from -3.2 to 1e+30", "within 10000 rad")),
         (
             lambda m: m["drive"].update(gain={"value": 1.0, "unit": "N.m/A", "known": True}),
             ("drive.gain: unknown key",),
@@ -291,8 +296,22 @@ def test_errors_of_a_file_name_key_and_expectation():
             assert word in text, text
 
 
+def test_an_error_of_a_mechanism_file_names_line_and_column(tmp_path):
+    path = tmp_path / "rig.yaml"
+    lines = yaml_text(pendulum_mapping()).splitlines()
+    row = next(n for n, line in enumerate(lines) if line.lstrip().startswith("mass:"))
+    value = next(n for n in range(row, len(lines)) if lines[n].lstrip().startswith("value:"))
+    wrong = [*lines[:value], lines[value].partition(":")[0] + ": heavy", *lines[value + 1 :]]
+    missing = [line for n, line in enumerate(lines) if n != value]
+    for text, at in ((wrong, value), (missing, row)):
+        path.write_text("\n".join(text))
+        column = len(text[at]) - len(text[at].lstrip()) + 1
+        with pytest.raises(ParameterError, match=rf"rig.yaml, line {at + 1}, column {column}: body.mass.value: "):
+            load_mechanism(path)
+
+
 def test_errors_of_mechanism_and_model_files(tmp_path):
-    with pytest.raises(ParameterError, match="one of puma560, dfki_pendulum, pendulum, slide"):
+    with pytest.raises(ParameterError, match="one of puma560, dfki_double_a0, .*, slide"):
         load_mechanism("puma")
     path = tmp_path / "arm.yaml"
     text = Path(config_path("mechanisms", "puma560.yaml")).read_text()
@@ -339,5 +358,5 @@ def test_simulate_takes_a_model_of_one_joint(tmp_path, capsys):
         assert call("simulate", out, "--model", model, "--restart", "0.2", "--out", "-") == 0
         unit = "m" if name == "slide" else "rad"
         assert f"windows of 0.2 s [{unit}]" in capsys.readouterr().err
-    assert call("simulate", volts, "--model", model, "--initial", "1,2,3", "--out", out) == 2
+    assert call("simulate", volts, "--model", model, "--initial", "1,2,3", "--out", "-") == 2
     assert "one finite number [m]" in capsys.readouterr().err

@@ -56,11 +56,11 @@ def test_a_step_within_a_record_counts_from_where_it_is():
 
 def test_responses_that_do_not_arrive_are_infinite():
     slow = step_quality(TIME, 0.5 * (1.0 - np.exp(-TIME)), 0.0, 1.0)
-    assert slow == (0.0, math.inf, math.inf)
+    assert slow[:4] == (0.0, math.inf, math.inf, 0.0) and slow.steady_error == pytest.approx(0.5, abs=1e-6)
     swinging = step_quality(TIME, 1.0 - np.cos(TIME), 0.0, 1.0)
     assert swinging.overshoot == pytest.approx(1.0, abs=1e-6)
     assert swinging.settling_time == math.inf and swinging.rise_time < 2.0
-    assert step_quality([0.0, 1.0, 2.0], [1.0, 1.0, 1.0], 0.0, 1.0) == (0.0, 0.0, 0.0)
+    assert step_quality([0.0, 1.0, 2.0], [1.0, 1.0, 1.0], 0.0, 1.0) == (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -145,10 +146,14 @@ def test_effects_act_on_one_joint_as_on_the_third_of_an_arm(effect):
     voltage = (2.0 * np.sin(11.0 * time))[:, None]
     plant = pendulum([effect])
     run = Simulator(plant).run(time, voltage)
-    from puma_sim_core.simulation.simulator import Constraint
+    from puma_sim_core.simulation.conditions import Constraint
 
     third = parse_effect(effect.replace("joint=1", "joint=3"))
-    arm = Plant(plant.arm, (parse_effect("viscous_friction:joint=3,coefficient=0.0066"), third))
+    # its base upside down, the link hangs at 0
+    arm = Plant(
+        replace(plant.arm, gravity=-plant.arm.gravity),
+        (parse_effect("viscous_friction:joint=3,coefficient=0.0066"), third),
+    )
     simulator = Simulator(arm, constraints=(Constraint("hold"), Constraint("hold"), Constraint()))
     full = simulator.run(time, np.pad(voltage, ((0, 0), (2, 0))))
     assert np.array_equal(run.position[:, 0], full.position[:, 2])
@@ -157,7 +162,7 @@ def test_effects_act_on_one_joint_as_on_the_third_of_an_arm(effect):
 
 def test_what_a_single_joint_refuses():
     for effect, message in (
-        ("coulomb_friction:joint=2,torque=1", "joint=1"),
+        ("coulomb_friction:joint=2,torque=1", "joint=1: 'pendulum' has 1 joint"),
         ("base_tilt:x=0.1", "an arm"),
         ("payload:mass=1,x=0.1", "z along"),
     ):

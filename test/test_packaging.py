@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+import json
 import os
 import re
 import shutil
@@ -49,7 +50,7 @@ def source_tree(tmp_path_factory):
     tree = tmp_path_factory.mktemp("source")
     for name in ("setup.py", "pyproject.toml", "package.xml", "LICENSE", "README.md"):
         shutil.copy(ROOT / name, tree)
-    for name in (*PACKAGES, "config", "resource"):
+    for name in (*PACKAGES, "config", "launch", "resource"):
         shutil.copytree(ROOT / name, tree / name, ignore=shutil.ignore_patterns("__pycache__"))
     added = tree / "config" / "parameters" / "deeper" / "added_by_test.yaml"
     added.parent.mkdir()
@@ -190,7 +191,10 @@ def test_the_maintainer_is_one_address_that_parses(metadata):
 # -- programs and dependencies --------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("program", ["puma-sim", "sim_node", "external_controller"])
+PROGRAMS = ["appraise", "appraised_controller", "external_controller", "puma-sim", "sim_node", "viewer"]
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
 def test_each_program_leads_to_a_function(entry_points, program):
     module, function = entry_points[program].split(":")
     if module.startswith("puma_sim_ros"):
@@ -199,7 +203,7 @@ def test_each_program_leads_to_a_function(entry_points, program):
 
 
 def test_no_program_is_declared_that_is_not_checked(entry_points):
-    assert sorted(entry_points) == ["external_controller", "puma-sim", "sim_node"]
+    assert sorted(entry_points) == PROGRAMS
 
 
 def imported(package: str) -> set[str]:
@@ -222,7 +226,7 @@ def modules(requirements) -> set[str]:
 def test_each_import_is_a_declared_dependency(metadata):
     requirements = metadata.get_all("Requires-Dist")
     required = modules(r for r in requirements if "extra ==" not in r)
-    optional = modules(r for r in requirements if re.search(r"extra == .fast.", r))
+    optional = modules(r for r in requirements if re.search(r"extra == .(fast|cluster|view|completion).", r))
     ros = {e.text for e in package_xml().iter("exec_depend") if not e.text.startswith("python3-")}
     peers = re.search(r"^PEERS := (.*)$", (ROOT / "Makefile").read_text(), re.MULTILINE).group(1)
     bench = modules(peers.split())
@@ -254,3 +258,44 @@ def test_each_make_target_that_the_documents_name_exists():
     for document in ("README.md", "CONTRIBUTING.md", "QUALITY_DECLARATION.md", "CHANGELOG.md"):
         for target in re.findall(r"`make ([\w-]+)", (ROOT / document).read_text()):
             assert target in targets, f"{document} names make {target}"
+
+
+# -- the launch files and what they start ---------------------------------------------------------
+
+
+def test_the_launch_files_and_their_settings_are_installed(wheel):
+    names = wheel.namelist()
+    for path in (
+        *sorted((ROOT / "launch").iterdir()),
+        ROOT / "config" / "puma560.rviz",
+        ROOT / "config" / "foxglove.json",
+    ):
+        end = f".data/data/share/puma_sim_ros/{path.parent.name}/{path.name}"
+        assert [name for name in names if name.endswith(end)], end
+
+
+@pytest.mark.parametrize(("environment", "wanted"), [({}, True), ({"PUMA_SIM_HEADLESS": "1"}, False)])
+def test_rviz_is_a_dependency_that_can_be_left_out(environment, wanted):
+    packages = pytest.importorskip("catkin_pkg.package")
+    package = packages.parse_package(str(ROOT / "package.xml"))
+    package.evaluate_conditions(environment)
+    found = {each.name for each in package.exec_depends if each.evaluated_condition}
+    assert ({"rviz2", "robot_state_publisher"} <= found) == wanted
+    assert {"rclpy", "launch_ros"} <= found
+
+
+def test_rviz_and_foxglove_show_what_the_node_publishes():
+    rviz = yaml.safe_load((ROOT / "config" / "puma560.rviz").read_text())["Visualization Manager"]
+    (model,) = [each for each in rviz["Displays"] if each["Class"] == "rviz_default_plugins/RobotModel"]
+    assert model["Description Topic"]["Value"] == "/robot_description"
+    assert model["Description Topic"]["Durability Policy"] == "Transient Local"
+    assert rviz["Global Options"]["Fixed Frame"] == "base_link"
+
+    layout = json.loads((ROOT / "config" / "foxglove.json").read_text())
+    panels, shown = layout["configById"], re.findall(r'"([^"]+![^"]+)"', json.dumps(layout["layout"]))
+    assert sorted(shown) == sorted(panels)
+    arm = panels["3D!arm"]["layers"]["arm"]
+    assert (arm["topic"], arm["jointStatesTopic"]) == ("/robot_description", "/joint_states")
+    paths = [path["value"] for panel in panels.values() for path in panel.get("paths", ())]
+    fields = {"/joint_states": "position", "/motor_voltages": "data", "/motor_currents": "data"}
+    assert sorted(paths) == sorted(f"{topic}.{field}[{joint}]" for topic, field in fields.items() for joint in range(3))

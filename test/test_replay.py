@@ -233,7 +233,7 @@ def test_a_command_that_its_session_refuses_is_named_with_its_step(tmp_path):
         tmp_path / "run",
         change_command=lambda step, command: command._replace(values=(math.nan, 0.0, 0.0)) if step == 6 else command,
     )
-    with pytest.raises(BagError, match="run: step 6: its session refuses a command: .*nan"):
+    with pytest.raises(BagError, match="run: step 6: its session refuses an input: .*nan"):
         replay(path)
     with pytest.raises(CommandError):
         Session(config_of("voltage")).command((math.nan, 0.0, 0.0))

@@ -21,7 +21,7 @@ STEPS = 30
 
 @pytest.fixture
 def recorded(tmp_path, request):
-    """A bag of a session with a command at each step, in a namespace of its own."""
+    """A bag of two files, of a session with a command at each step, in a namespace of its own."""
     namespace = f"/bag{os.getpid()}{request.node.name[-8:]}"
     config = SessionConfig(Plant.of("bejczy"))
     session = Session(config)
@@ -35,6 +35,7 @@ def recorded(tmp_path, request):
         frame_id=config.frame_id,
         command_interface="voltage",
         period_ns=config.period_ns,
+        splits_ns=[STEPS // 2 * config.period_ns],
     ) as recorder:
         recorder.write_state(session.state)
         for step in range(STEPS):

@@ -14,6 +14,7 @@ from ros_support import Node, Peer
 from sensor_msgs.msg import JointState
 
 from puma_sim_core.plant.plant import Plant
+from puma_sim_core.plant.stops import with_stops
 from puma_sim_core.simulation.session import Session, SessionConfig
 
 TIMEOUT = 0.112  # four steps
@@ -46,7 +47,8 @@ def at_rest(request):
 
 def reference(interface):
     """The same session without ROS."""
-    return Session(SessionConfig(Plant.of("bejczy"), command_interface=interface, command_timeout=TIMEOUT))
+    plant = with_stops(Plant.of("bejczy"))
+    return Session(SessionConfig(plant, command_interface=interface, command_timeout=TIMEOUT, brakes=True))
 
 
 def assert_same(peer, session):

@@ -14,6 +14,7 @@ pytest.importorskip("rclpy")
 from ros_support import Node, Peer, arguments, run_program
 
 from puma_sim_core.plant.plant import Plant
+from puma_sim_core.plant.stops import with_stops
 from puma_sim_core.recording.bag import read_bag
 from puma_sim_core.recording.recording import read_csv
 from puma_sim_core.resources import config_path
@@ -52,7 +53,8 @@ def test_the_node_runs_a_controller_and_its_bag_replays(kind, tmp_path):
         Peer(node.namespace, "position") as peer,
     ):
         peer.find_simulator()
-        config = SessionConfig(Plant.of(), command_interface="position", initial_position=START, controller=kind)
+        common = {"command_interface": "position", "initial_position": START, "brakes": True}
+        config = SessionConfig(with_stops(Plant.of()), controller=kind, **common)
         assert_follows(peer, Session(config))
     # each reset starts a bag; the last one has the steps
     last = max(tmp_path.glob("bag*"), key=lambda path: len(read_bag(path).steps))
@@ -92,15 +94,18 @@ def test_controller_and_servo_change_at_a_reset_and_bags_tell_which(tmp_path):
             1000,
             False,
         )
-        common = {"command_interface": "position", "initial_position": START, "servo": servo}
-        assert_follows(peer, Session(SessionConfig(Plant.of(), **common)))
+        common = {"command_interface": "position", "initial_position": START, "servo": servo, "brakes": True}
+        assert_follows(peer, Session(SessionConfig(with_stops(Plant.of()), **common)))
         (result,) = peer.set(controller="computed_torque")
         assert result.successful
         (result,) = peer.set(controllers_file=str(file))
         assert result.successful
         peer.fresh()
         config = SessionConfig(
-            Plant.of(), controller="computed_torque", controller_settings=other["servo"]["computed_torque"], **common
+            with_stops(Plant.of()),
+            controller="computed_torque",
+            controller_settings=other["servo"]["computed_torque"],
+            **common,
         )
         assert_follows(peer, Session(config))
         (result,) = peer.set(controller="pid")

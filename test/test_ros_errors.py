@@ -23,6 +23,10 @@ BAD_PARAMETERS = {
     "type": ({"voltage_limit": 40}, ["voltage_limit", "40", "decimal point"]),
     "array length": ({"initial_position": "[0.0, 0.0]"}, ["initial_position", "three"]),
     "array value": ({"initial_position": "[0.0, .nan, 0.0]"}, ["initial_position", "finite"]),
+    "start out of range": ({"initial_position": "[0.0, 0.8, 0.0]"}, ["initial_position", "joint 2", "0.7505"]),
+    "no frame": ({"frame_id": "''"}, ["frame_id", "link1"]),
+    "frame of a link": ({"frame_id": "link2"}, ["frame_id", "link2", "other than"]),
+    "no voltage": ({"voltage_limit": 0.0}, ["voltage_limit", "0.001 to 1000"]),
     "joint names": ({"joints": "[a, b, a]"}, ["joint", "three different names"]),
     "interface": ({"command_interface": "torque"}, ["command_interface", "voltage or position"]),
     "controller": ({"command_interface": "position", "controller": "pd"}, ["controller 'pd'", "computed_torque"]),
@@ -93,6 +97,7 @@ UNSTABLE = {
     "effects": "['soft_stop:joint=3,upper=0.0,stiffness=1e6,damping=1000.0']",
     "initial_position": "[0.0, 0.0, 0.5]",
     "substeps": 4,
+    "brakes": False,
 }
 
 

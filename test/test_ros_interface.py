@@ -20,6 +20,7 @@ from std_msgs.msg import String
 from puma_sim_core.arm.parameters import load_parameters
 from puma_sim_core.arm.urdf import arm_urdf
 from puma_sim_core.plant.plant import Plant
+from puma_sim_core.plant.stops import with_stops
 from puma_sim_core.simulation.session import SessionConfig
 from puma_sim_ros.messages import qos
 
@@ -46,6 +47,7 @@ def at_rest(peer):
         ("motor_voltages", ARRAY, False),
         ("robot_description", "std_msgs/msg/String", True),
         ("sim_node/model", "std_msgs/msg/String", True),
+        ("sim_node/brakes", "std_msgs/msg/Bool", True),
         ("/clock", "rosgraph_msgs/msg/Clock", False),
         ("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", False),
     ],
@@ -114,7 +116,9 @@ def test_late_subscribers_get_the_urdf(peer):
 
 def test_late_subscribers_get_the_model(peer):
     text = latched_text(peer, "sim_node/model")
-    assert SessionConfig.from_mapping(yaml.safe_load(text)) == SessionConfig(Plant.of("bejczy"))
+    assert SessionConfig.from_mapping(yaml.safe_load(text)) == SessionConfig(
+        with_stops(Plant.of("bejczy")), brakes=True
+    )
 
 
 def test_clock_is_simulated_time(peer):
@@ -212,6 +216,8 @@ PARAMETERS = {
     "real_time_factor": ParameterType.PARAMETER_DOUBLE,
     "voltage_limit": ParameterType.PARAMETER_DOUBLE,
     "command_timeout": ParameterType.PARAMETER_DOUBLE,
+    "brakes": ParameterType.PARAMETER_BOOL,
+    "stops": ParameterType.PARAMETER_BOOL,
     "initial_position": ParameterType.PARAMETER_DOUBLE_ARRAY,
     "parameter_set": ParameterType.PARAMETER_STRING,
     "effects": ParameterType.PARAMETER_STRING_ARRAY,
@@ -220,6 +226,7 @@ PARAMETERS = {
     "frame_id": ParameterType.PARAMETER_STRING,
     "bag_path": ParameterType.PARAMETER_STRING,
     "paused": ParameterType.PARAMETER_BOOL,
+    "step_count": ParameterType.PARAMETER_INTEGER,
     "controller": ParameterType.PARAMETER_STRING,
     "controllers_file": ParameterType.PARAMETER_STRING,
     "servo.gain": ParameterType.PARAMETER_DOUBLE_ARRAY,
@@ -234,8 +241,11 @@ CHANGEABLE = {
     "real_time_factor",
     "voltage_limit",
     "command_timeout",
+    "brakes",
+    "effects",
     "initial_position",
     "paused",
+    "step_count",
     *(name for name in PARAMETERS if name.startswith(("controller", "servo."))),
 }
 
@@ -264,6 +274,11 @@ def test_parameters_are_described(peer):
         ("command_timeout", math.nan, "range"),
         ("initial_position", [0.0, 0.0], "three finite numbers"),
         ("initial_position", [0.0, math.nan, 0.0], "three finite numbers"),
+        ("initial_position", [0.0, 0.8, 0.0], "joint 2: 0.8 rad; expected -3.8921 to 0.7505"),
+        ("effects", ["stiction:joint=1"], "unknown effect 'stiction'"),
+        ("effects", ["payload:mass=3"] * 2, "stands twice"),
+        ("step_count", 0, "range"),
+        ("voltage_limit", 0.0, "range"),
         ("controller", "scheduled", "command_interface position"),
         ("controllers_file", "gains.yaml", "given with controller pid"),
         ("servo.gain", [1.0, 2.0], "three numbers, one for each joint"),

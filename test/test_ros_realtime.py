@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from ros_support import PERIOD_NS, Node, Peer, step_of, time_ns
+from ros_support import PERIOD_NS, Diagnostics, Node, Peer, step_of, time_ns
 
 from puma_sim_core.recording.bag import read_bag
 from puma_sim_core.simulation.replay import replay
@@ -61,14 +61,22 @@ def test_no_step_is_lost_when_the_process_is_held_up(running):
     def behind():
         return time.monotonic() - started - (time_ns(peer.states[-1]) - first) * 1e-9
 
-    # the 21 steps of the hold are made good: time runs with the clock again
-    peer.wait_for(lambda: behind() < 0.1, "simulated time")
+    # the 21 steps of the hold are made good: time runs with the clock again, less what a machine that stood still for
+    # longer than that has made the node give up
+    diagnostics = Diagnostics(peer)
+    given_up = []
+
+    def caught_up():
+        given_up.append(float(diagnostics()[2]["time given up [s]"]))
+        return behind() < given_up[-1] + 0.2
+
+    peer.wait_for(caught_up, "simulated time")
     assert run.end() == 0, run.node.errors
     assert replay(run.bag).identical
     contents = read_bag(run.bag)
     assert contents.time_ns.tolist() == [k * PERIOD_NS for k in range(len(contents.steps))]
     overruns = int(run.node.errors.rsplit("overruns ", 1)[1].split(",")[0])
-    assert overruns >= 15
+    assert overruns >= 15 or given_up[-1] > 0.0
 
 
 def test_the_pace_can_be_changed(running):
@@ -96,6 +104,9 @@ def test_a_command_is_shown_within_one_period(running):
     peer.on_state = answer
     peer.wait_for(lambda: len(sent) >= 60, "60 states")
     peer.on_state = None
+    # who leaves before the step that takes its last command is a controller that is lost: the brakes hold in that step
+    last = list(sent.values())[-1]
+    peer.wait_for(lambda: last in peer.voltages, "the last command")
     assert run.end(signal.SIGTERM) == 0, run.node.errors
     assert replay(run.bag).identical
     contents = read_bag(run.bag)

@@ -19,9 +19,10 @@ from puma_sim_core.files import yaml_text
 from puma_sim_core.recording.bag.recorder import BagRecorder
 from puma_sim_core.servo.pid import Pid
 from puma_sim_core.servo.servo import ServoConfig
+from puma_sim_core.simulation.conditions import Constraint
 from puma_sim_core.simulation.replay import replay
 from puma_sim_core.simulation.session import Session, SessionConfig
-from puma_sim_core.simulation.simulator import SERVO_PERIOD, Constraint, Simulator
+from puma_sim_core.simulation.simulator import SERVO_PERIOD, Simulator
 from puma_sim_core.simulation.windows import run_windows
 
 CURVED = (

@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 
 from puma_sim_core.errors import LimitError, NonFiniteStateError, ParameterError
 from puma_sim_core.servo.servo import ServoConfig
+from puma_sim_core.simulation.conditions import Constraint, Limits
 from puma_sim_core.simulation.run_inputs import GREATEST_STEP, check_step
-from puma_sim_core.simulation.simulator import SERVO_PERIOD, Constraint, Limits, Simulator
+from puma_sim_core.simulation.simulator import SERVO_PERIOD, Simulator
 
 #: every kind of effect at once
 EFFECTS = (

@@ -11,7 +11,8 @@ from scipy.integrate import solve_ivp
 from puma_sim_core.arm.rigid_body import gravity_torque
 from puma_sim_core.jit import BACKEND
 from puma_sim_core.servo.servo import ServoConfig
-from puma_sim_core.simulation.simulator import Constraint, Simulator
+from puma_sim_core.simulation.conditions import Constraint
+from puma_sim_core.simulation.simulator import Simulator
 
 pytestmark = pytest.mark.long
 #: friction of each joint: level for positive and negative motion, Stribeck excess, its velocity

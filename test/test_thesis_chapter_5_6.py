@@ -12,7 +12,8 @@ import pytest
 from puma_sim_core.arm.parameters import load_parameters
 from puma_sim_core.arm.third_order import joint_torque_per_ampere
 from puma_sim_core.plant.plant import Plant
-from puma_sim_core.simulation.simulator import Constraint, Simulator
+from puma_sim_core.simulation.conditions import Constraint
+from puma_sim_core.simulation.simulator import Simulator
 from puma_sim_core.thesis import chapter_5_6, chapter_6
 from puma_sim_core.thesis.misprints import chapter_6 as misprints_6
 from puma_sim_core.thesis.misprints.reference import nominal

@@ -140,7 +140,7 @@ def test_experiments_stand_in_the_order_of_the_thesis():
 def test_find_gives_one_or_a_section_and_names_what_there_is():
     assert [each.number for each in find("4.3")] == ["4.3"]
     assert [each.number for each in find("4")] == ["4.3", "4.4", "4.5"]
-    with pytest.raises(ParameterError, match=r"no experiment '9.9'; expected one of 2.4, 4.3"):
+    with pytest.raises(ParameterError, match=r"no experiment '9.9'; expected .* `puma-sim thesis`"):
         find("9.9")
 
 
@@ -315,7 +315,7 @@ def test_command_lists_runs_and_writes(tmp_path, capsys):
 @pytest.mark.parametrize(
     "arguments, message",
     [
-        (["9.9"], "no experiment '9.9'; expected one of 2.4"),
+        (["9.9"], "no experiment '9.9'; expected"),
         (["--all", "4.3"], "expected one of the two"),
         (["4.3", "--seed", "x"], "--seed: 'x'; expected a whole number, 0 or more"),
         (["4.3", "--jobs", "0"], "--jobs: '0'; expected a whole number, 1 or more"),

@@ -26,9 +26,10 @@ from two_mass_support import (
 from puma_sim_core.arm.rigid_body import gravity_torque, inertia
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.effects.shared.drive_train import gear_output, in_series, transmitted
+from puma_sim_core.plant.linkage_plant import LinkagePlant
 from puma_sim_core.plant.mechanism_file import load_mechanism
-from puma_sim_core.plant.one_joint import OneJointPlant
-from puma_sim_core.simulation.simulator import Constraint, Simulator
+from puma_sim_core.simulation.conditions import Constraint
+from puma_sim_core.simulation.simulator import Simulator
 
 # -------------------------------------------------------------------------------------------- play
 
@@ -190,7 +191,7 @@ def test_a_pendulum_behind_a_held_motor_swings_on_its_spring_and_its_weight():
     stiffness, mass, length, inertia_of_motor = 50.0, 0.49, 0.1, 0.0019
     body = load_mechanism("pendulum").body
     effect = parse_effect(f"joint_elasticity:joint=1,stiffness={stiffness},damping=0")
-    simulator = Simulator(OneJointPlant.of(body, [effect]), constraints=[Constraint("hold")])
+    simulator = Simulator(LinkagePlant.of(body, [effect]), constraints=[Constraint("hold")])
     simulator.links = (0.0, 0.0, 1e-4, 0.0, 0.0, 0.0)
     time = np.arange(0.0, 0.2, 5e-4)
     run = simulator.run(time, np.zeros((len(time), 1)))

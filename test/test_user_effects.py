@@ -148,7 +148,7 @@ def test_an_effect_of_a_user_is_listed_and_goes_into_a_model_file(tmp_path):
     volts = volts_file(tmp_path / "volts.csv", 0.2)
     arguments = ("simulate", volts, "--model", model, "--out", tmp_path / "run.csv")
     assert command(*arguments, "--effects", COGGING, kernel="python").returncode == 0
-    refused = command(*arguments, kernel="python")
+    refused = command(*arguments, "--force", kernel="python")
     assert refused.returncode == 2 and "unknown effect 'motor_cogging'" in refused.stderr
 
 

@@ -28,7 +28,8 @@ from puma_sim_core.jit import BACKEND
 from puma_sim_core.plant.plant import Plant
 from puma_sim_core.servo.pid import PidGains
 from puma_sim_core.servo.servo import ServoConfig
-from puma_sim_core.simulation.simulator import Constraint, Simulator
+from puma_sim_core.simulation.conditions import Constraint
+from puma_sim_core.simulation.simulator import Simulator
 from puma_sim_core.tuning.ziegler_nichols import (
     Loop,
     Ultimate,

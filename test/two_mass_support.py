@@ -12,7 +12,8 @@ from scipy.integrate import solve_ivp
 
 from puma_sim_core.arm.rigid_body import coriolis, gravity_torque, inertia
 from puma_sim_core.plant.plant import Plant
-from puma_sim_core.simulation.simulator import SERVO_PERIOD, Constraint, Simulator
+from puma_sim_core.simulation.conditions import Constraint
+from puma_sim_core.simulation.simulator import SERVO_PERIOD, Simulator
 
 SHARE = 0.7
 VISCOUS = [f"viscous_friction:joint={j},coefficient={h}" for j, h in ((1, 5.8), (2, 9.5), (3, 4))]

@@ -1,5 +1,5 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
-"""Pages that are derived from the code at each build: effects, equations, API reference."""
+"""Pages that are derived from the code at each build: effects, equations, API reference, table of measures."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ import re
 from pathlib import Path
 
 import puma_sim_core as ps
+from puma_sim_core.appraisal.measures import MEASURES
 from puma_sim_core.effects import KINDS
+from puma_sim_core.plant.quantities import AMPLIFIERS, BASE_LINK, BODY, DRIVES, GRAVITY, LINK
 
 DOCS = Path(__file__).resolve().parents[1]
 CORE = DOCS.parent / "puma_sim_core"
@@ -45,6 +47,42 @@ def effects_page() -> str:
         if kind.look_alikes:
             lines += ["", "| look-alike | what tells the two apart |", "|---|---|"]
             lines += [f"| `{name}` | {_cell(difference)} |" for name, difference, _ in kind.look_alikes]
+    return "\n".join(lines) + "\n"
+
+
+def mechanism_numbers_page() -> str:
+    """The numbers of mechanism files, group by group."""
+    lines = [
+        "# Numbers of mechanism files",
+        "",
+        "Made from `puma_sim_core.plant.quantities`, by which the files are read.",
+    ]
+    groups = {
+        "`link` of the base": BASE_LINK,
+        "`link` of shoulder and elbow": LINK,
+        "`body` of a pendulum; of a slide the mass alone": {**BODY, "gravity": GRAVITY},
+        **{f"`drive` with `amplifier: {name}`, {AMPLIFIERS[name]}": numbers for name, numbers in DRIVES.items()},
+    }
+    for title, numbers in groups.items():
+        lines += [
+            "",
+            f"## {title}",
+            "",
+            "| number | unit | on a slide | may be | without it | |",
+            "|---|---|---|---|---|---|",
+        ]
+        for name, q in numbers.items():
+            default = "required" if q.default is None else f"{q.default}"
+            slide = " or ".join(q.slide) if q.slide else ""
+            row = (f"`{name}`", " or ".join(q.units), slide, q.sign, default, _cell(q.meaning))
+            lines.append(f"| {' | '.join(row)} |")
+    lines += [
+        "",
+        "A link has one direction along it, from its joint to the next or to its end; one across it in the plane",
+        "of motion, the first turned by +90 degrees of the joint; and one beside that plane, along the joint's axis.",
+        "`beside`, `inertia_along` and `inertia_across` count where the base moves, and are unknown keys elsewhere;",
+        "`length` belongs to a shoulder with an elbow. The `gravity` of a linkage stands beside its axes.",
+    ]
     return "\n".join(lines) + "\n"
 
 
@@ -94,6 +132,16 @@ def api_page() -> str:
     return "\n".join(lines)
 
 
+def measures_table() -> str:
+    """One table for each group of measures, which `measures.md` includes."""
+    lines = []
+    for group, members in itertools.groupby(MEASURES.values(), key=lambda measure: measure.group):
+        lines += [f"### Measures of group {group}", "", "| measure | unit | definition | source |", "|---|---|---|---|"]
+        lines += [f"| `{m.name}` | {m.unit} | {_cell(m.definition)} | {_cell(m.source)} |" for m in members]
+        lines.append("")
+    return "\n".join(lines)
+
+
 def _docstrings(path: Path):
     """(qualified name, docstring) of a module and of all that it defines."""
 
@@ -137,7 +185,14 @@ def setup(app):
     """Write the pages before Sphinx reads its sources."""
 
     def write(_app):
-        for name, page in (("effects", effects_page), ("equations", equations_page), ("api", api_page)):
+        pages = {
+            "effects": effects_page,
+            "equations": equations_page,
+            "api": api_page,
+            "measures_table": measures_table,
+            "mechanism_numbers": mechanism_numbers_page,
+        }
+        for name, page in pages.items():
             path, text = DOCS / f"{name}.md", page()
             if not path.exists() or path.read_text(encoding="utf-8") != text:
                 path.write_text(text, encoding="utf-8")

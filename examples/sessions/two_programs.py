@@ -19,8 +19,8 @@ from pathlib import Path
 from puma_sim_core.errors import PumaSimError
 from puma_sim_core.resources import config_path
 
-#: longest time for a motion, the first start of the compiled model included [s]
-PATIENCE = 50.0
+#: longest time for a session [s]. Nothing of it waits for the compiler; it is long for machines that do other work.
+PATIENCE = 300.0
 #: programs with a file of parameters in config/
 _WITH_FILE = ("sim_node", "external_controller")
 
@@ -93,13 +93,15 @@ def run_session(
         other = start(controller, controller_parameters, logs[controller], **variables)
         end = time.monotonic() + patience
         while other.poll() is None and time.monotonic() < end:
-            _check(node.poll() is None, "sim_node ended by itself", logs["sim_node"])
+            _check(node.poll() is None, f"sim_node ended by itself, status {node.poll()}", logs["sim_node"])
             time.sleep(0.05)
-        _check(other.poll() == 0, "the controller failed", logs[controller])
+        _check(other.poll() is not None, f"{controller} had not done its motion after {patience:g} s", *logs.values())
+        _check(other.poll() == 0, f"{controller} ended with status {other.poll()}", logs[controller])
         node.send_signal(signal.SIGINT)
         with contextlib.suppress(subprocess.TimeoutExpired):
-            node.wait(timeout=10.0)
-        _check(node.poll() == 0, "sim_node did not end well", logs["sim_node"])
+            node.wait(timeout=patience)
+        _check(node.poll() is not None, f"sim_node had not ended {patience:g} s after SIGINT", logs["sim_node"])
+        _check(node.poll() == 0, f"sim_node ended with status {node.poll()}", logs["sim_node"])
     finally:
         for process in (other, node):
             if process is not None and process.poll() is None:
@@ -108,10 +110,14 @@ def run_session(
     return bag, logs["sim_node"].read_text(encoding="utf-8").splitlines()[-1]
 
 
-def _check(condition: bool, what: str, log: Path) -> None:
+def _check(condition: bool, what: str, *logs: Path) -> None:
     if not condition:
-        tail = "\n".join(log.read_text(encoding="utf-8").splitlines()[-8:])
-        raise ProgramError(f"{what}; the end of its log is\n{tail}", where=log)
+        tails = [f"the end of {log.name} is\n{_tail(log)}" for log in logs]
+        raise ProgramError("; ".join([what, *tails]), where=logs[0].parent)
+
+
+def _tail(log: Path) -> str:
+    return "\n".join(log.read_text(encoding="utf-8").splitlines()[-8:]) or "(empty)"
 
 
 def as_program(name: str, work: Callable[[], None]) -> int:

@@ -73,6 +73,34 @@ def wrist_position(q: ArrayLike, arm: ArmParameters) -> np.ndarray:
     return frame[:3, 3] + arm.d4 * frame[:3, 2]
 
 
+def wrist_path(q: ArrayLike, arm: ArmParameters) -> np.ndarray:
+    """`wrist_position` of many poses at once, in closed form.
+
+    q : (..., at least 3) [rad]. Returns (..., 3) [m]: X e_r + d3 e_t - Y z0 with X = a2 C2 + a3 C23 + d4 S23 and
+    Y = a2 S2 + a3 S23 - d4 C23, where e_r and e_t turn with joint 1.
+    """
+    q = as_angles(q)
+    return wrist_motion(q, np.zeros(q.shape), arm)[0]
+
+
+def wrist_motion(q: ArrayLike, qd: ArrayLike, arm: ArmParameters) -> tuple[np.ndarray, np.ndarray]:
+    """Position and velocity of the wrist, the derivative of `wrist_path` with time.
+
+    q [rad], qd [rad/s] : (..., at least 3). Returns [m] and [m/s], (..., 3) each.
+    """
+    q, qd = as_angles(q), as_angles(qd)
+    s1, s2, s23 = (np.sin(angle) for angle in (q[..., 0], q[..., 1], q[..., 1] + q[..., 2]))
+    c1, c2, c23 = (np.cos(angle) for angle in (q[..., 0], q[..., 1], q[..., 1] + q[..., 2]))
+    x = arm.a2 * c2 + arm.a3 * c23 + arm.d4 * s23
+    y = arm.a2 * s2 + arm.a3 * s23 - arm.d4 * c23
+    turning, tilting, bending = qd[..., 0], qd[..., 1], qd[..., 1] + qd[..., 2]
+    xd = (arm.d4 * c23 - arm.a3 * s23) * bending - arm.a2 * s2 * tilting
+    yd = (arm.d4 * s23 + arm.a3 * c23) * bending + arm.a2 * c2 * tilting
+    ahead, aside = x * c1 - arm.d3 * s1, x * s1 + arm.d3 * c1
+    position = np.stack([ahead, aside, -y], axis=-1)
+    return position, np.stack([xd * c1 - aside * turning, xd * s1 + ahead * turning, -yd], axis=-1)
+
+
 def first_derivatives(q: ArrayLike, arm: ArmParameters | ArrayLike) -> np.ndarray:
     """dT_p/dq_i of the frames 1 to n, equation 2.3.
 

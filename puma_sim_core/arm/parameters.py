@@ -18,7 +18,7 @@ import numpy as np
 from puma_sim_core.arm.arm import ArmParameters, Link, Motor
 from puma_sim_core.arm.rigid_body import inertia
 from puma_sim_core.checks import Reader
-from puma_sim_core.errors import ParameterError
+from puma_sim_core.errors import ParameterError, one_of
 from puma_sim_core.files import read_yaml
 from puma_sim_core.resources import config_path
 
@@ -69,7 +69,7 @@ def load_parameters(name_or_path: str | os.PathLike[str]) -> ArmParameters:
     if str(name_or_path) in names:
         path = config_path("parameters", f"{name_or_path}.yaml")
     elif not path.is_file():
-        expected = f"the path of a YAML file or one of {', '.join(names)}"
+        expected = f"the path of a YAML file or {one_of(name_or_path, names)}"
         raise ParameterError(f"no parameter set or file '{name_or_path}'", expected=expected)
     return from_mapping(read_yaml(path), where=str(path))
 

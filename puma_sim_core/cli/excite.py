@@ -1,5 +1,5 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
-"""Write voltages that tell two effects apart, or that show one.
+"""Write voltages that tell effects apart, or that show one.
 
   puma-sim excite --separate ONE,OTHER --joint 2 --out volts.csv
   puma-sim excite --separate ONE,OTHER@3 --seconds 20 --out volts.csv
@@ -17,11 +17,10 @@ Feed the log of it back to `puma-sim explain`, best together with the log that l
 from __future__ import annotations
 
 import argparse
-import sys
 from typing import TYPE_CHECKING
 
 from puma_sim_core.cli.arguments import Command, add_mechanism_arguments, number, positive_number, whole_number
-from puma_sim_core.cli.output import Progress, announce_compilation, check_output, output_file
+from puma_sim_core.cli.output import LOG, Progress, add_force_argument, check_output, output_file, start_at_once
 from puma_sim_core.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -34,7 +33,7 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument(
-        "--separate", metavar="A[,B]", required=True, help="effects (`puma-sim list`), each as NAME or NAME@JOINT"
+        "--separate", metavar="A[,B...]", required=True, help="effects (`puma-sim list`), each as NAME or NAME@JOINT"
     )
     parser.add_argument("--out", metavar="FILE", required=True, help="CSV of voltages to write; - for standard output")
     parser.add_argument(
@@ -43,6 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="also write the motion as columns time, setpoint1..n, for a machine "
         "that is to follow it under its own controller",
     )
+    add_force_argument(parser)
     parser.add_argument("--joint", metavar="J", help="joint of effects that name none")
     parser.add_argument("--seconds", metavar="S", default="10", help="length of the record (10)")
     parser.add_argument("--rate", metavar="HZ", help="rows a second (1071.43: the servo period of 28/30 ms)")
@@ -67,9 +67,9 @@ def run(options: argparse.Namespace) -> int:
         for name in ("max_voltage", "max_velocity", "rate")
     }
     inputs = [path for path in (options.plant, options.parameters, options.model) if path is not None]
-    check_output(options.out, inputs)
+    check_output(options.out, inputs, force=options.force)
     if options.setpoints is not None:
-        check_output(options.setpoints, inputs)
+        check_output(options.setpoints, inputs, force=options.force)
         if options.setpoints == options.out:
             raise ParameterError(f"'{options.out}' twice", where="--setpoints", expected="another file than --out")
 
@@ -82,7 +82,7 @@ def run(options: argparse.Namespace) -> int:
     mechanism = load_mechanism(options.plant, parameters=options.parameters, model=options.model)
     suspects = suspects_of(options.separate.split(","), mechanism, joint)
     limits = Limits.of(mechanism, greatest["max_voltage"], greatest["max_velocity"])
-    announce_compilation()
+    start_at_once(patient=True)
     with Progress() as shown:
         found = design(
             mechanism,
@@ -99,9 +99,9 @@ def run(options: argparse.Namespace) -> int:
             _write(options.setpoints, head, found.time, "setpoint", found.setpoint)
     if found.nats < SELECTION.least_gain:
         least = f"{found.nats:.2g} nat are less than a name takes ({SELECTION.least_gain:g})"
-        print(f"warning: {least}; give it more time, voltage or range", file=sys.stderr)
-    print(found.sentence, file=sys.stderr)
-    print(_start(found, mechanism), file=sys.stderr)
+        LOG.warning(f"warning: {least}; give it more time, voltage or range")
+    LOG.info(found.sentence)
+    LOG.info(_start(found, mechanism))
     return 0
 
 
@@ -130,4 +130,4 @@ def _write(path: str, head: list[str], time: np.ndarray, group: str, values: np.
             file.write(",".join([f"{t:.9f}", *(f"{v:.6f}" for v in row)]) + "\n")
 
 
-COMMAND = Command("excite", "write voltages that tell two effects apart, or show one", __doc__, add_arguments, run)
+COMMAND = Command("excite", "write voltages that tell effects apart, or show one", __doc__, add_arguments, run)

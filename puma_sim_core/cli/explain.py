@@ -3,31 +3,37 @@
 
 A log is a CSV with columns time, voltage1..n, position1..n [s, V, rad or m], which may have
 velocity*, current*, setpoint* and enable (0: drive off); or a bag of sim_node. Several logs are
-explained together.
+explained together, and then one by one: the report compares the answers (--no-agreement leaves it out).
 
-  puma-sim explain run.csv --out report
+  puma-sim explain log.csv --out report
   puma-sim explain first.csv second.csv --held-out third.csv --out report
   puma-sim explain rig.csv --plant pendulum --columns time=t_s,voltage1=motor_V,position1=q_rad \\
       --out report
   puma-sim explain later.csv --model report/model.yaml --out report2
-  puma-sim explain run.csv --dry-run
+  puma-sim explain log.csv --dry-run
 
 The folder gets report.json (config/explain_report.schema.json describes it), report.html for a
 person, and model.yaml, the model with what was found in it, which simulate, sim_node and explain
-take. The exit status is 0 for every verdict, DATA_FAULT among them: the log was read, and the
-report says what is wrong with it; a DATA_FAULT has no model.yaml. It is 2 where there is nothing
-to report on, such as a file that cannot be read.
+take. The exit status is 0 for every verdict but DATA_FAULT, for which it is 3: the log was read, and
+the report says what is wrong with it; there is no model.yaml. It is 2 where there is nothing to
+report on, such as a file that cannot be read.
 """
 
 import argparse
 import os
-import re
 
-from puma_sim_core.cli.arguments import Command, add_mechanism_arguments, whole_number
-from puma_sim_core.cli.output import Progress, announce_compilation
+from puma_sim_core.cli.arguments import (
+    Command,
+    add_columns_argument,
+    add_mechanism_arguments,
+    column_names,
+    whole_number,
+)
+from puma_sim_core.cli.output import Progress, add_force_argument, start_at_once
 from puma_sim_core.errors import ParameterError
 
-_COLUMN = re.compile(r"time|enable|(voltage|position|velocity|current|setpoint)[1-9][0-9]*")
+#: exit status of a log that was read and cannot be used
+_FAULTY = 3
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,6 +51,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--strict", action="store_true", help="refuse a log with rows that cannot be used; default: leave them out"
     )
     parser.add_argument(
+        "--agreement",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help="explain several logs one by one as well, and compare the answers; about doubles the time",
+    )
+    parser.add_argument(
         "--dry-run",
         action="store_true",
         help="print what is read, what is left out, and which effects can show; no --out",
@@ -52,33 +64,33 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", metavar="DIR", help="folder for report.json, report.html and model.yaml; made if it does not exist"
     )
-    parser.add_argument(
-        "--columns",
-        metavar="OURS=THEIRS,...",
-        action="append",
-        default=[],
-        help="names of a CSV's columns, such as time=t_s,voltage1=motor_V,position1=q_rad; may stand more than once",
-    )
+    add_force_argument(parser)
+    parser.add_argument("--json", action="store_true", help="print report.json in place of the sentences; no --out")
+    add_columns_argument(parser)
     add_mechanism_arguments(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Explain, write, and print the verdict and the paths; raises the errors of the package."""
     seed = whole_number(options.seed, "--seed", 0)
-    columns = _columns(options.columns)
+    columns = column_names(options.columns)
     _check_logs(options.logs, options.held_out)
     if options.dry_run:
         return _dry_run(options, columns)
-    if options.out is None:
-        raise ParameterError("no --out", where="explain", expected="--out DIR, or --dry-run to look at the logs first")
+    if (options.out is None) is not options.json:
+        expected = "--out DIR for a report, or --json to print it, or --dry-run to look at the logs first"
+        raise ParameterError("--out with --json" if options.json else "no --out", where="explain", expected=expected)
 
+    from puma_sim_core.identify.report.json import report_text
     from puma_sim_core.identify.report.output import check_folder, write_explanation
+    from puma_sim_core.identify.result import DATA_FAULT
 
-    inputs = [*options.logs, *options.held_out, options.plant, options.parameters, options.model]
-    check_folder(options.out, [path for path in inputs if path is not None])
+    if not options.json:
+        inputs = [*options.logs, *options.held_out, options.plant, options.parameters, options.model]
+        check_folder(options.out, [path for path in inputs if path is not None], force=options.force)
     from puma_sim_core.identify import explain
 
-    announce_compilation()
+    start_at_once(patient=True)
     with Progress() as shown:
         explanation = explain(
             options.logs,
@@ -89,45 +101,32 @@ def run(options: argparse.Namespace) -> int:
             columns=columns,
             seed=seed,
             strict=options.strict,
+            agreement=options.agreement,
             progress=shown,
         )
-        paths = write_explanation(explanation, options.out)
-    print(explanation.sentence)
+        paths = [] if options.json else write_explanation(explanation, options.out)
+    if options.json:
+        print(report_text(explanation), end="")
+    else:
+        print(explanation.sentence)
+        if explanation.agreement is not None:
+            print(explanation.agreement.sentence)
     for path in paths:
         print(path)
-    return 0
+    return _FAULTY if explanation.verdict == DATA_FAULT else 0
 
 
 def _dry_run(options: argparse.Namespace, columns: dict[str, str] | None) -> int:
     """Print what the logs hold."""
-    from puma_sim_core.identify.data.ingest import read_log
+    from puma_sim_core.identify.data.machine_log import read_for, with_volts
     from puma_sim_core.identify.overview import overview
     from puma_sim_core.plant.mechanism_file import load_mechanism
 
     mechanism = load_mechanism(options.plant, parameters=options.parameters, model=options.model)
     for path in (*options.logs, *options.held_out):
-        found = overview(read_log(path, columns, mechanism.joints), mechanism)
+        found = overview(with_volts(read_for(mechanism, path, columns), mechanism), mechanism)
         print("\n".join(found.lines(mechanism.position_unit)))
     return 0
-
-
-def _columns(texts: list[str]) -> dict[str, str] | None:
-    """Our names to the file's; None without any; raises ParameterError."""
-    found: dict[str, str] = {}
-    for item in (part for text in texts for part in text.split(",")):
-        ours, equals, theirs = (part.strip() for part in item.partition("="))
-        if not (ours and equals and theirs):
-            raise ParameterError(f"'{item}'", where="--columns", expected="OURS=THEIRS, such as time=t_s")
-        if not _COLUMN.fullmatch(ours):
-            expected = "time, enable, voltage1, position1, velocity1, current1, setpoint1, voltage2 and so on"
-            raise ParameterError(f"unknown column '{ours}'", where="--columns", expected=expected)
-        if ours in found:
-            raise ParameterError(f"'{ours}' is given twice", where="--columns", expected="each once")
-        if theirs in found.values():
-            what = f"'{theirs}' is given for two columns"
-            raise ParameterError(what, where="--columns", expected="a column of the file for one of ours")
-        found[ours] = theirs
-    return found or None
 
 
 def _check_logs(logs: list[str], held_out: list[str]) -> None:

@@ -5,8 +5,8 @@ LOG has a row for each sample of the controller, with the columns time, setpoint
 [s, rad, rad, V], or setpoint1..3, position1..3, voltage1..3 with --joint. The positions must be
 those that the controller read: --position-step rounds to an encoder's step.
 
-  puma-sim identify-controller log.csv
-  puma-sim identify-controller run.csv --joint 1 --position-step 1.00451e-4
+  puma-sim identify-controller controller.csv
+  puma-sim identify-controller samples.csv --joint 1 --position-step 1.00451e-4
   puma-sim identify-controller pose1.csv pose2.csv       are the gains the same at both poses?
 
 Printed are Kg, Ti and Td with confidence intervals; where rounding of the voltage is the only error

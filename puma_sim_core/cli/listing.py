@@ -1,8 +1,10 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
-"""List the published parameter sets and the effects, which are what a real drive does and the
-thesis's model lacks.
+"""List the published parameter sets, the mechanisms that `explain` knows, and the effects, which are what a real
+drive does and the thesis's model lacks.
 
   puma-sim list                       all of them
+  puma-sim list mechanisms            mechanisms alone
+  puma-sim list pendulum > mine.yaml  one mechanism as a file, to start another from
   puma-sim list coulomb_friction      one effect
   puma-sim list bejczy > mine.yaml    one set as a parameter file, to start another from
 """
@@ -10,10 +12,12 @@ thesis's model lacks.
 from __future__ import annotations
 
 import argparse
+import itertools
+import textwrap
 from typing import TYPE_CHECKING
 
 from puma_sim_core.cli.arguments import Command
-from puma_sim_core.errors import ParameterError
+from puma_sim_core.errors import ParameterError, one_of
 
 if TYPE_CHECKING:
     from puma_sim_core.effects import Kind, Parameter
@@ -22,7 +26,10 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument(
-        "name", metavar="NAME", nargs="?", help="this effect, or this set or parameter file (checked, as YAML)"
+        "name",
+        metavar="NAME",
+        nargs="?",
+        help="mechanisms, or one effect, mechanism, set or parameter file (checked, as YAML)",
     )
 
 
@@ -32,19 +39,28 @@ def run(options: argparse.Namespace) -> int:
 
     from puma_sim_core.arm.parameters import parameter_sets
     from puma_sim_core.effects import KINDS
+    from puma_sim_core.plant.mechanism_file import mechanism_names
+    from puma_sim_core.resources import config_path
 
-    name, sets = options.name, parameter_sets()
+    name, sets, machines = options.name, parameter_sets(), mechanism_names()
     if name is None:
         print("Parameter sets (--parameters), the default one first\n")
         print("\n".join(map(_set_text, sets)))
+        print("\nMechanisms (--plant), the default one first\n")
+        print("\n".join(map(_mechanism_text, machines)))
         print("\nEffects (--effect)\n")
         print("\n\n".join(map(_effect_text, KINDS.values())))
+    elif name == "mechanisms":
+        print("\n".join(map(_mechanism_text, machines)))
+    elif name in machines:
+        print(config_path("mechanisms", f"{name}.yaml").read_text(encoding="utf-8"), end="")
     elif name in KINDS:
         print(_effect_text(KINDS[name]))
     elif name in sets or Path(name).exists():
         print(_parameter_file(name), end="")
     else:
-        expected = f"a parameter file, or one of {', '.join([*sets, *KINDS])}"
+        names = ["mechanisms", *sets, *machines, *KINDS]
+        expected = f"a parameter file, or {one_of(name, names, '`puma-sim list`')}"
         raise ParameterError(f"'{name}' is not known", expected=expected)
     return 0
 
@@ -63,6 +79,19 @@ def _set_text(name: str) -> str:
     lines = [name, f"  {' '.join(arm.source.split())}"]
     lines += [f"  the source has besides: --effect {effect}" for effect in arm.suggested_effects]
     return "\n".join(lines)
+
+
+def _mechanism_text(name: str) -> str:
+    from puma_sim_core.plant.mechanism_file import load_mechanism
+    from puma_sim_core.resources import config_path
+
+    m = load_mechanism(name)
+    text = config_path("mechanisms", f"{name}.yaml").read_text(encoding="utf-8")
+    comment = itertools.takewhile(lambda line: line.startswith("#"), text.splitlines())
+    words = " ".join(line.lstrip("# ") for line in comment if "SPDX" not in line)
+    passive = f", joint {m.driven.index(False) + 1} passive" if False in m.driven else ""
+    head = f"{name}  ({m.joints} joint{'s' * (m.joints > 1)}{passive}; {m.position_unit})"
+    return "\n".join([head, *textwrap.wrap(words, 100, initial_indent="  ", subsequent_indent="  ")])
 
 
 def _effect_text(kind: Kind) -> str:
@@ -90,4 +119,4 @@ def _is_required(parameter: Parameter) -> bool:
     return parameter.default is None and parameter.from_arm is None
 
 
-COMMAND = Command("list", "list parameter sets and effects", __doc__, add_arguments, run)
+COMMAND = Command("list", "list parameter sets, mechanisms and effects", __doc__, add_arguments, run)

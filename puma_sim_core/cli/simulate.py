@@ -9,7 +9,8 @@ Out: columns time, voltage1..3, position1..3, velocity1..3, current1..3 [s, V, r
   puma-sim simulate volts.csv --out run.csv --effect coulomb_friction:joint=2,torque=12
   puma-sim simulate log.csv --out run.csv --restart 2.0
 
-A model of one joint (a pendulum, a slide) has the columns voltage1, position1 and so on alone.
+A machine of one joint (--plant pendulum) has the columns voltage1, position1 and so on alone. Other columns of the
+file are left out; --columns names those that are called otherwise, as for explain.
 
 With --restart the file is a measured log, which has position1..3 [rad] too and may have
 velocity1..3 and current1..3: its voltages go through the arm in open loop, which starts again
@@ -19,19 +20,29 @@ from the measured state every so many seconds.
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from puma_sim_core.cli.arguments import Command, add_plant_arguments, input_files, joint_numbers, number, plant_of
-from puma_sim_core.cli.output import Progress, announce_compilation, check_output, output_file
+from puma_sim_core.cli.arguments import (
+    Command,
+    add_columns_argument,
+    add_plant_arguments,
+    column_names,
+    input_files,
+    joint_angles,
+    joint_numbers,
+    number,
+    plant_of,
+)
+from puma_sim_core.cli.output import LOG, Progress, add_force_argument, check_output, output_file, start_at_once
 from puma_sim_core.errors import LimitError, NonFiniteStateError, ParameterError, RecordingError
 
 if TYPE_CHECKING:
     from puma_sim_core.plant.plant import Plant
     from puma_sim_core.recording.recording import Recording
-    from puma_sim_core.simulation.simulator import Constraint, Limits, Simulator
+    from puma_sim_core.simulation.conditions import Constraint, Limits
+    from puma_sim_core.simulation.simulator import Simulator
     from puma_sim_core.simulation.windows import OpenLoopErrors
 
 
@@ -50,8 +61,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("file", metavar="FILE", help="CSV of voltages, or a log with --restart")
     parser.add_argument("--out", metavar="FILE", required=True, help="CSV to write; - for standard output")
+    add_force_argument(parser)
+    add_columns_argument(parser)
     add_plant_arguments(parser)
-    parser.add_argument("--initial", metavar="Q1,Q2,Q3", help="positions at the start [rad] (0)")
+    parser.add_argument("--initial", metavar="Q1,Q2,Q3", help="positions at the start [rad] (0), or 90deg")
     parser.add_argument("--initial-velocity", metavar="W1,W2,W3", help="velocities at the start [rad/s] (0)")
     parser.add_argument("--initial-current", metavar="I1,I2,I3", help="motor currents at the start [A] (0)")
     parser.add_argument(
@@ -76,11 +89,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Simulate, write, and sum up on standard error; raises the errors of the package."""
-    begin = time.perf_counter()
+    begin, columns = time.perf_counter(), column_names(options.columns)
     _check_combination(options)
-    check_output(options.out, [options.file, *input_files(options)])
+    check_output(options.out, [options.file, *input_files(options)], force=options.force)
 
-    from puma_sim_core.jit import BACKEND
+    start_at_once()
+    from puma_sim_core.jit import kernel_in_use
     from puma_sim_core.recording.recording import read_csv, write_rows
     from puma_sim_core.simulation.windows import run_windows
 
@@ -89,17 +103,16 @@ def run(options: argparse.Namespace) -> int:
     start = _start(options, plant)
     limits = _limits(options, simulator)
     if options.restart is None:
-        log = read_csv(options.file, joints=joints)
+        log = read_csv(options.file, joints=joints, columns=columns)
         simulator.reset(**start, time=log.time[0])
     else:
         interval = number(options.restart, "--restart")
-        log = read_csv(options.file, ("voltage", "position"), ("velocity", "current"), joints)
+        log = read_csv(options.file, ("voltage", "position"), ("velocity", "current"), joints, columns)
     _check_last_line(options.file)
     span = float(log.time[-1]) - float(log.time[0])
     if not span < _MOST_STEPS * simulator.max_step:
         expected = f"times in seconds, fewer than {_MOST_STEPS:g} steps"
         raise RecordingError(f"lasts {span:.3g} s", where=options.file, expected=expected)
-    announce_compilation()
     with Progress() as progress:
         errors = None
         try:
@@ -123,13 +136,12 @@ def run(options: argparse.Namespace) -> int:
         with output_file(options.out) as file:
             write_rows(result, file, lambda rows: progress("writing", rows / len(result)))
     for sentence in exceeded:
-        print(f"warning: {sentence}", file=sys.stderr)
+        LOG.warning("warning: %s", sentence)
     for line in _summary(options, plant.position_unit, errors):
-        print(line, file=sys.stderr)
-    print(
-        f"{len(result)} row{'s' * (len(result) != 1)}, {span:.6g} s simulated by the {BACKEND} "
-        f"kernel; {time.perf_counter() - begin:.2f} s in all",
-        file=sys.stderr,
+        LOG.info(line)
+    LOG.info(
+        f"{len(result)} row{'s' * (len(result) != 1)}, {span:.6g} s simulated by the {kernel_in_use()} "
+        f"kernel; {time.perf_counter() - begin:.2f} s in all"
     )
     return 0
 
@@ -160,7 +172,7 @@ def _simulator(options: argparse.Namespace) -> Simulator:
 
 def _constraints(texts: list[str], joints: int) -> list[Constraint]:
     """One constraint a joint from the texts of --constrain; raises ParameterError."""
-    from puma_sim_core.simulation.simulator import CONSTRAINTS, Constraint
+    from puma_sim_core.simulation.conditions import CONSTRAINTS, Constraint
 
     found: dict[str, Constraint] = {}
     names = [f"joint{j + 1}" for j in range(joints)]
@@ -182,7 +194,7 @@ def _constraints(texts: list[str], joints: int) -> list[Constraint]:
 def _start(options: argparse.Namespace, plant: Plant) -> dict[str, tuple[float, ...]]:
     """Arguments of `Simulator.reset`."""
     return {
-        name: joint_numbers(
+        name: (joint_angles if name == "position" else joint_numbers)(
             text, f"--{option.replace('_', '-')}", unit.replace("rad", plant.position_unit), plant.joints
         )
         for option, name, unit in _START
@@ -191,7 +203,7 @@ def _start(options: argparse.Namespace, plant: Plant) -> dict[str, tuple[float, 
 
 
 def _limits(options: argparse.Namespace, simulator: Simulator) -> Limits:
-    from puma_sim_core.simulation.simulator import Limits
+    from puma_sim_core.simulation.conditions import Limits
 
     joints, rad = simulator.plant.joints, simulator.plant.position_unit
 
@@ -215,19 +227,19 @@ def _check_last_line(path: str) -> None:
     except OSError:  # a pipe, which has been read
         return
     if not whole:
-        print(f"warning: {path}: the last line does not end; its last number may be cut off", file=sys.stderr)
+        LOG.warning("warning: %s: the last line does not end; its last number may be cut off", path)
 
 
 def _run(simulator: Simulator, log: Recording, acceleration: bool, progress: Progress) -> Recording:
     """Run all rows, some at a time; the same bits as in one call."""
     import numpy as np
 
-    from puma_sim_core.jit import BACKEND
+    from puma_sim_core.jit import kernel_in_use
     from puma_sim_core.recording.recording import Recording
     from puma_sim_core.simulation.run_inputs import step_counts
 
     counts = step_counts(np.diff(log.time), simulator.max_step)
-    block = np.cumsum(counts) // _STEPS_AT_ONCE[BACKEND]
+    block = np.cumsum(counts) // _STEPS_AT_ONCE[kernel_in_use()]
     ends = [*(np.flatnonzero(np.diff(block)) + 1).tolist(), len(log) - 1]
     volts: Any = log.voltage
     names = ["position", "velocity", "current"] + ["acceleration"] * acceleration

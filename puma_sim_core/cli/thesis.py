@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from puma_sim_core.cli.arguments import Command, whole_number
-from puma_sim_core.cli.output import Progress, check_output, output_file
+from puma_sim_core.cli.output import Progress, add_force_argument, check_output, output_file
 from puma_sim_core.errors import ParameterError, RecordingError
 
 if TYPE_CHECKING:
@@ -44,6 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seed", metavar="N", default="1", help="whole number from which all that is random follows (default 1)"
     )
+    add_force_argument(parser)
     parser.add_argument("--jobs", metavar="N", help="processes at a time (default: as many as there are cores)")
 
 
@@ -82,7 +83,7 @@ def _write(options: argparse.Namespace, chosen: list[Experiment], seed: int, job
     stem = "thesis" if options.all else "-".join(["thesis", *options.number])
     paths = [folder / f"{stem}.html", folder / f"{stem}.json"]
     for path in paths:
-        check_output(str(path))
+        check_output(str(path), force=options.force)
     results = _results(chosen, seed, jobs)
     if not options.all:
         _print(results)

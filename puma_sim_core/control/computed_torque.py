@@ -41,6 +41,7 @@ _rigid_body: Callable[..., Any] = interpreted(rigid_body)
 _REACHABLE = 0.9
 BACK_EMF = ("measured", "reference")
 _WHERE = "computed torque"
+_NOTHING = (0.0, 0.0, 0.0)
 Triple = tuple[float, float, float]
 
 
@@ -71,18 +72,17 @@ class InverseDynamics:
 
     def combined(
         self, mass: Sequence[Triple], bias: Sequence[float], acceleration: Sequence[float], turning: Sequence[float]
-    ) -> tuple[float, ...]:
+    ) -> list[float]:
         """Volts from `terms`, accelerations (3,) [rad/s^2], and the velocities (3,) [rad/s] of
         which the back-EMF is taken."""
         a1, a2, a3 = acceleration
-        return tuple(
-            k * (row[0] * a1 + row[1] * a2 + row[2] * a3 + b) + e * w
-            for k, row, b, e, w in zip(self._per_torque, mass, bias, self.back_emf, turning)
-        )
+        volts = []
+        for j, (m1, m2, m3) in enumerate(mass):
+            torque = m1 * a1 + m2 * a2 + m3 * a3 + bias[j]
+            volts.append(self._per_torque[j] * torque + self.back_emf[j] * turning[j])
+        return volts
 
-    def voltages(
-        self, q: Sequence[float], velocity: Sequence[float], acceleration: Sequence[float]
-    ) -> tuple[float, ...]:
+    def voltages(self, q: Sequence[float], velocity: Sequence[float], acceleration: Sequence[float]) -> list[float]:
         """Volts that a motion needs: q [rad], velocity [rad/s], acceleration [rad/s^2], (3,)."""
         return self.combined(*self.terms(q, velocity), acceleration, velocity)
 
@@ -163,29 +163,32 @@ class ComputedTorque:
         """Forget the past: no sum, at rest at the next sample."""
         self.reference.reset()
         self._sum = [0.0, 0.0, 0.0]
-        self._before: tuple[float, ...] | None = None
-        self._velocity: tuple[float, ...] = (0.0, 0.0, 0.0)
+        self._before: list[float] | None = None
+        self._velocity = [0.0, 0.0, 0.0]
 
     def update(self, t: float, setpoint: Sequence[float], measurement: Sequence[float]) -> tuple[float, ...]:
         """Volts for one sample at time t [s]; setpoint and measurement (3,) [rad]."""
         check_three_each(setpoint, measurement, _WHERE)
-        q = tuple(float(y) for y in measurement)
-        h, c = self.period, self._filter
-        before = q if self._before is None else self._before
-        self._velocity = v = tuple(w + c * ((new - old) / h - w) for w, new, old in zip(self._velocity, q, before))
+        q = [float(y) for y in measurement]
+        h, c, limit = self.period, self._filter, self.limit
+        before, v = self._before or q, self._velocity
+        for j, y in enumerate(q):
+            v[j] += c * ((y - before[j]) / h - v[j])
         self._before = q
         wanted = self.reference.update(setpoint, q)
         mass, bias = self.dynamics.terms(q, v)
-        damped = (0.0, 0.0, 0.0) if self._measured else self.dynamics.own_damping(mass)
-        acceleration: list[float] = []
-        sums = [total + h * (r - y) for total, (r, _, _), y in zip(self._sum, wanted, q)]
+        damped = _NOTHING if self._measured else self.dynamics.own_damping(mass)
+        acceleration, errors, sums, turning = [], [], [], []
         for j, (r, rd, rdd) in enumerate(wanted):
             b, e = self._bandwidth[j], r - q[j]
-            acceleration.append(rdd + max(3.0 * b - damped[j], 0.0) * (rd - v[j]) + b * b * (3.0 * e + b * sums[j]))
-        turning = v if self._measured else tuple(rd for _, rd, _ in wanted)
-        volts = self.dynamics.combined(mass, bias, acceleration, turning)
-        for j, (r, _, _) in enumerate(wanted):
-            if abs(volts[j]) <= self.limit or (r - q[j]) * volts[j] < 0.0:
+            total = self._sum[j] + h * e
+            acceleration.append(rdd + max(3.0 * b - damped[j], 0.0) * (rd - v[j]) + b * b * (3.0 * e + b * total))
+            errors.append(e)
+            sums.append(total)
+            turning.append(rd)
+        volts = self.dynamics.combined(mass, bias, acceleration, v if self._measured else turning)
+        for j, u in enumerate(volts):
+            if abs(u) <= limit or errors[j] * u < 0.0:
                 self._sum[j] = sums[j]
-        limit = self.limit
-        return tuple(min(max(u, -limit), limit) / self._amplifier for u in volts)
+            volts[j] = min(max(u, -limit), limit) / self._amplifier
+        return tuple(volts)

@@ -2,14 +2,18 @@
 """How good a control was: overshoot, rise and settling of a step, errors, volts, saturation."""
 
 from math import inf
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from puma_sim_core.checks import check_numbers, check_positive, check_shapes
+from puma_sim_core.control.curve import Curve
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.recording.recording import Recording
+
+#: share of a step's record, at its end, over which the steady error is averaged
+STEADY_SHARE = 0.1
 
 
 class StepQuality(NamedTuple):
@@ -19,26 +23,38 @@ class StepQuality(NamedTuple):
     rise_time : from 10 to 90 % of the step [s]; inf where 90 % are not reached.
     settling_time : from the step to where the response stays within the band [s]; inf where it is
         not within at the end of the record.
+    undershoot : greatest excursion to the other side of the start, as a share of the step; 0.0 without one.
+    steady_error : distance from the end of the mean over the last tenth of the record, as a share of the step.
     """
 
     overshoot: float
     rise_time: float
     settling_time: float
+    undershoot: float
+    steady_error: float
 
 
 def step_quality(
-    time: ArrayLike, response: ArrayLike, start: float, end: float, *, at: float | None = None, band: float = 0.02
+    time: ArrayLike,
+    response: ArrayLike,
+    start: float,
+    end: float,
+    *,
+    at: float | None = None,
+    band: float = 0.02,
+    velocity: ArrayLike | None = None,
 ) -> StepQuality:
     """Quality of a response to a step from `start` to `end`.
 
     time (n,) [s], increasing; response (n,), of the unit of start and end; at : when the step is
-    [s], by default at time[0]; band : half-width of the settled band as a share of the step.
-    Crossings are taken between samples by a straight line.
+    [s], by default at time[0]; band : half-width of the settled band as a share of the step; velocity : (n,), the
+    derivative of the response. Between samples the response is what `curve` says of values and velocities.
 
     Raises ParameterError: no step, no samples behind it, or values that are not finite.
     """
     where = "step response"
-    times, values = check_shapes("(n,)", where, time=time, response=response)
+    given: dict[str, Any] = {} if velocity is None else {"velocity": velocity}
+    times, values, *slopes = check_shapes("(n,)", where, time=time, response=response, **given)
     if len(times) < 2 or not (np.diff(times) > 0.0).all():
         raise ParameterError(f"{len(times)} times", where=where, expected="two at least, increasing")
     check_numbers((start, end), "start and end", 2, where)
@@ -52,28 +68,19 @@ def step_quality(
     after = times >= at - 1e-9
     if after.sum() < 2:
         raise ParameterError(f"no samples after {at:.6g} s", where=where, expected="a step within the record")
-    t, y = times[after], (values[after] - start) / (end - start)
-    low, high = _first_above(t, y, 0.1), _first_above(t, y, 0.9)
-    outside = np.flatnonzero(np.abs(y - 1.0) > band)
-    if not outside.size:
-        settled = 0.0
-    elif outside[-1] == len(y) - 1:
-        settled = inf
-    else:
-        k = int(outside[-1])
-        edge = 1.0 + band if y[k] > 1.0 else 1.0 - band
-        settled = float(t[k] + (edge - y[k]) / (y[k + 1] - y[k]) * (t[k + 1] - t[k])) - at
-    return StepQuality(max(float(y.max()) - 1.0, 0.0), high - low if high < inf else inf, settled)
-
-
-def _first_above(t: np.ndarray, y: np.ndarray, level: float) -> float:
-    reached = np.flatnonzero(y >= level)
-    if not reached.size:
-        return inf
-    k = int(reached[0])
-    if k == 0:
-        return float(t[0])
-    return float(t[k - 1] + (level - y[k - 1]) / (y[k] - y[k - 1]) * (t[k] - t[k - 1]))
+    t = times[after]
+    # the distance still to go, as a share of the step
+    rest = (values[after] - end) / (end - start)
+    curve = Curve(t, rest, slopes[0][after] / (end - start) if slopes else None)
+    low, high, settled = curve.first_above(-0.9), curve.first_above(-0.1), curve.last_beyond(band)
+    lowest, highest = curve.extremes()
+    return StepQuality(
+        overshoot=max(highest, 0.0),
+        rise_time=high - low if high < inf else inf,
+        settling_time=max(settled - at, 0.0),
+        undershoot=max(-1.0 - lowest, 0.0),
+        steady_error=abs(curve.mean(float(t[-1] - STEADY_SHARE * (t[-1] - t[0])))),
+    )
 
 
 class TrackingError(NamedTuple):
@@ -118,5 +125,7 @@ def effort(recording: Recording, voltage_limit: float, within: float = 1e-6) -> 
     check_positive(voltage_limit, "voltage_limit", "V", "effort", infinite=True)
     held = np.diff(recording.time)
     volts = recording.voltage[:-1]
-    share = held / held.sum()
-    return Effort(np.sqrt(share @ volts**2), share @ (np.abs(volts) >= (1.0 - within) * voltage_limit))
+    share = (held / held.sum())[:, None]
+    # sums, not matrix products: the last bit of those depends on where the arrays lie in memory
+    saturated = np.abs(volts) >= (1.0 - within) * voltage_limit
+    return Effort(np.sqrt((share * volts**2).sum(axis=0)), (share * saturated).sum(axis=0))

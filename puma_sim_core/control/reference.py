@@ -65,6 +65,7 @@ class SetpointReference:
         self._joints = [_Bounded(self._T, float(v), float(a)) for v, a in pairs]
         self._lead = bounds.lead * _LATE * self._T
         self._k: int | None = None
+        self._pieces: list[tuple[float, ...]] = []
 
     def reset(self) -> None:
         """Forget the past: the next sample starts at rest where the arm is."""
@@ -81,29 +82,36 @@ class SetpointReference:
             for joint, y in zip(self._joints, measurement):
                 joint.start(float(y))
         if self._k == 0:
-            for joint, r in zip(self._joints, setpoint):
-                joint.take(float(r))
+            self._pieces = [self._piece(joint, float(r)) for joint, r in zip(self._joints, setpoint)]
         u = self._k / self._samples
         self._k = (self._k + 1) % self._samples
-        return [self._with_lead(joint, u) for joint in self._joints]
+        T, left, middle = self._T, 1.0 - u, 1.0 + u * (2.0 - u)
+        found = []
+        for p0, first, second, acceleration, before, gained, slope in self._pieces:
+            # in a form that gives p0 exactly where all three are equal
+            position = p0 + 0.5 * (first * middle + second * u * u)
+            velocity = (left * first + u * second) / T
+            c = self._lead * (before + u * gained)
+            # the spline of a parabola lies T^2/8 of its second derivative beside it: c T / 12
+            found.append(
+                (
+                    position + c * velocity + (0.5 * c - T / 12.0) * c * acceleration,
+                    velocity + c * acceleration + slope * (velocity + (c - T / 12.0) * acceleration),
+                    acceleration,
+                )
+            )
+        return found
 
-    def _with_lead(self, joint: _Bounded, u: float) -> tuple[float, float, float]:
+    def _piece(self, joint: _Bounded, setpoint: float) -> tuple[float, ...]:
+        """What holds between two setpoints of a joint: p0, p1 - p0, p2 - p1, the acceleration, and of the lead its
+        first share, what that gains, and the slope of the lead."""
+        joint.take(setpoint)
         p0, p1, p2 = joint.points
-        T = self._T
         first, second = p1 - p0, p2 - p1
-        # in a form that gives p0 exactly where all three are equal
-        position = p0 + 0.5 * (first * (1.0 + u * (2.0 - u)) + second * u * u)
-        velocity = ((1.0 - u) * first + u * second) / T
-        acceleration = (second - first) / (T * T)
         before, after = joint.shares
-        c = self._lead * (before + u * (after - before))
-        slope = self._lead * (after - before) / T
-        # the spline of a parabola lies T^2/8 of its second derivative beside it: c T / 12
-        return (
-            position + c * velocity + (0.5 * c - T / 12.0) * c * acceleration,
-            velocity + c * acceleration + slope * (velocity + (c - T / 12.0) * acceleration),
-            acceleration,
-        )
+        gained = after - before
+        acceleration = (second - first) / (self._T * self._T)
+        return p0, first, second, acceleration, before, gained, self._lead * gained / self._T
 
 
 class _Bounded:

@@ -12,6 +12,7 @@ import itertools
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from math import inf, isfinite
 from typing import Any
 
@@ -65,20 +66,32 @@ class GainSchedule:
                 # PidGains refuses what no controller can have
                 check_positive(PidGains(*values).gain, f"gain of joint {j + 1}", "", _WHERE)
 
+    @cached_property
+    def _cells(self) -> list[list[tuple[Any, ...]]]:
+        """For each interval of q2 and q3 the nine values: a number, or the two lower ones and their differences."""
+
+        def cell(entry: Any, i: int, k: int) -> Any:
+            if type(entry) is float:
+                return entry
+            low, high = entry[i], entry[i + 1]
+            return low[k], low[k + 1] - low[k], high[k], high[k + 1] - high[k]
+
+        entries = [getattr(self, name)[j] for j in range(3) for name in GAIN_NAMES]
+        rows, columns = range(len(self.q2) - 1), range(len(self.q3) - 1)
+        return [[tuple(cell(entry, i, k) for entry in entries) for k in columns] for i in rows]
+
     def at(self, q2: float, q3: float) -> list[tuple[float, float, float]]:
         """(gain, integral_time, derivative_time) of each joint at a pose [rad]."""
         i, a = _place(self.q2, q2)
         k, b = _place(self.q3, q3)
-
-        def value(entry: Any) -> float:
-            if type(entry) is float:
-                return entry
-            low, high = entry[i], entry[i + 1]
-            left = low[k] + b * (low[k + 1] - low[k])
-            return left + a * (high[k] + b * (high[k + 1] - high[k]) - left)
-
-        entries = zip(self.gain, self.integral_time, self.derivative_time)
-        return [(value(g), value(ti), value(td)) for g, ti, td in entries]
+        values = []
+        for value in self._cells[i][k]:
+            if type(value) is not float:
+                low, up, high, up_high = value
+                left = low + b * up
+                value = left + a * (high + b * up_high - left)
+            values.append(value)
+        return list(zip(values[::3], values[1::3], values[2::3]))
 
     def to_mapping(self) -> dict[str, list[Any]]:
         """Plain values for a file."""
@@ -149,19 +162,18 @@ class ScheduledPid:
     def update(self, t: float, setpoint: Sequence[float], measurement: Sequence[float]) -> tuple[float, ...]:
         """Volts for one sample at time t [s]; setpoint and measurement (3,) [rad]; raises ParameterError on others."""
         check_three_each(setpoint, measurement, "scheduled PID")
-        gains = self.schedule.at(float(measurement[1]), float(measurement[2]))
+        q = [float(y) for y in measurement]
+        gains = self.schedule.at(q[1], q[2])
         if self._gain is None:
             self._gain = [g[0] for g in gains]
-        error = [float(r) - float(y) for r, y in zip(setpoint, measurement)]
-        now = [-float(y) for y in measurement] if self.on_measurement else error
-        before = now if self._before is None else self._before
+        error = [float(r) - y for r, y in zip(setpoint, q)]
+        now = [-y for y in q] if self.on_measurement else error
+        before, total, known, h, limit = self._before or now, self._total, self._gain, self.period, self.limit
         volts = []
-        for j, (gain, integral_time, derivative_time) in enumerate(gains):
-            self._total[j] *= self._gain[j] / gain
-            self._gain[j] = gain
-            integral, derivative = self.period / integral_time, derivative_time / self.period
-            signals = (error[j], now[j], before[j], self._total[j])
-            u, self._total[j] = _law(*signals, gain, integral, derivative, self.limit)
+        for j, (gain, integral, derivative) in enumerate(gains):
+            kept = total[j] * (known[j] / gain)
+            known[j] = gain
+            u, total[j] = _law(error[j], now[j], before[j], kept, gain, h / integral, derivative / h, limit)
             volts.append(u)
         self._before = now
         return tuple(volts)

@@ -47,8 +47,9 @@ class VelocityLoop:
         self, settings: VelocityLoopSettings, period: float, *, setpoint_period: float = 0.028, limit: float = inf
     ):
         s, names = settings, ("position_gain", "velocity_gain", "velocity_time")
-        self._gains = tuple(zip(*(check_three_positive(getattr(s, name), name, _WHERE) for name in names)))
         self.period = check_positive(period, "period", "s", _WHERE)
+        gains = zip(*(check_three_positive(getattr(s, name), name, _WHERE) for name in names))
+        self._gains = tuple((kp, kv, self.period / tv) for kp, kv, tv in gains)
         self.limit = check_positive(limit, "limit", "V", _WHERE, infinite=True)
         self._filter = 1.0 - exp(-period * check_positive(s.velocity_filter, "velocity_filter", "rad/s", _WHERE, True))
         bounds = Bounds(s.greatest_velocity, s.greatest_acceleration, s.lead)
@@ -65,13 +66,12 @@ class VelocityLoop:
     def update(self, t: float, setpoint: Sequence[float], measurement: Sequence[float]) -> tuple[float, ...]:
         """Volts for one sample at time t [s]; setpoint and measurement (3,) [rad]."""
         q = [float(y) for y in measurement]
-        before = q if self._before is None else self._before
+        before, known, total, h, limit = self._before or q, self._velocity, self._total, self.period, self.limit
         self._before = q
         volts = []
-        for j, ((r, rd, _), (kp, kv, tv)) in enumerate(zip(self._reference.update(setpoint, q), self._gains)):
-            v = self._velocity[j]
-            v = self._velocity[j] = v + self._filter * ((q[j] - before[j]) / self.period - v)
-            error = rd + kp * (r - q[j]) - v
-            u, self._total[j] = _law(error, 0.0, 0.0, self._total[j], kv, self.period / tv, 0.0, self.limit)
+        for j, ((r, rd, _), (kp, kv, integral)) in enumerate(zip(self._reference.update(setpoint, q), self._gains)):
+            known[j] += self._filter * ((q[j] - before[j]) / h - known[j])
+            error = rd + kp * (r - q[j]) - known[j]
+            u, total[j] = _law(error, 0.0, 0.0, total[j], kv, integral, 0.0, limit)
             volts.append(u)
         return tuple(volts)

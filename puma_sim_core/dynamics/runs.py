@@ -4,9 +4,10 @@
 What drive trains need is compiled by itself, so that nobody waits for it who does not use it.
 
 The functions here take plain numbers, named tuples and flat arrays, so that they compile; `Simulator`
-and `Session` are their callers. A row of `out` holds the state x and the bristles, twelve numbers;
-with `WIDE` stages behind them the measured positions m and the rest of z. A run stops at the first
-state that is not finite and returns its row, or -1.
+and `Session` are their callers. With a list in place of the packed table they run as plain Python. A
+row of `out` holds the state x and the bristles, twelve numbers; with `WIDE` stages behind them the
+measured positions m and the rest of z. A run stops at the first state that is not finite and returns
+its row, or -1.
 """
 
 from collections.abc import Callable
@@ -39,7 +40,7 @@ from puma_sim_core.dynamics.sensed import measured_after
 from puma_sim_core.dynamics.torques import bristle_torques, push_over
 from puma_sim_core.dynamics.two_mass import settled_links, train_rates, train_step, trains
 from puma_sim_core.dynamics.types import FREE, NO_SLIP, STILL, Constants, Model, Rows, ServoLoop, State
-from puma_sim_core.jit import Table, Vec, compiled, inlined, interpreted, merged, outlined
+from puma_sim_core.jit import Table, Vec, compiled, fitting, inlined, interpreted, merged, outlined
 from puma_sim_core.servo.servo import MEMORY_WIDTH, SERVO_WIDTH, delayed, servo_at_rest, servo_sample
 
 #: stages whose runs have rows of WIDE_ROW numbers instead of ROW
@@ -59,15 +60,23 @@ def terminal_voltage(j: int, v: float, p: Table) -> float:
 
 
 @compiled
-def supply_voltages(v1: float, v2: float, v3: float, p: Table) -> Vec:
-    """Voltages [V] that the supply can give of the commanded ones: what a drive reports."""
+def _supply_voltages(v1: float, v2: float, v3: float, p: Table) -> Vec:
     return within_supply(0, v1, p), within_supply(1, v2, p), within_supply(2, v3, p)
 
 
+def supply_voltages(v1: float, v2: float, v3: float, p: Table) -> Vec:
+    """Voltages [V] that the supply can give of the commanded ones: what a drive reports."""
+    return fitting(_supply_voltages, p)(v1, v2, v3, p)
+
+
 @compiled
+def _terminal_voltages(v1: float, v2: float, v3: float, p: Table) -> Vec:
+    return terminal_voltage(0, v1, p), terminal_voltage(1, v2, p), terminal_voltage(2, v3, p)
+
+
 def terminal_voltages(v1: float, v2: float, v3: float, p: Table) -> Vec:
     """Voltages [V] at the three motors' terminals for the commanded ones."""
-    return terminal_voltage(0, v1, p), terminal_voltage(1, v2, p), terminal_voltage(2, v3, p)
+    return fitting(_terminal_voltages, p)(v1, v2, v3, p)
 
 
 @merged
@@ -265,13 +274,17 @@ def servo_rows(
     return -1
 
 
-@compiled
 def servo_memory(setpoint: Vec, position: Vec, servo: Table) -> Vec:
     """The memory of a servo at rest for `run_servo`, 3 * MEMORY_WIDTH numbers, without those that
     a delay holds back.
 
     setpoint, position : triples [rad]; servo : the table of `ServoConfig`.
     """
+    return fitting(_servo_memory, servo)(setpoint, position, servo)
+
+
+@compiled
+def _servo_memory(setpoint: Vec, position: Vec, servo: Table) -> Vec:
     total1, before1 = servo_at_rest(setpoint[0], position[0], servo, 0)
     total2, before2 = servo_at_rest(setpoint[1], position[1], servo, SERVO_WIDTH)
     total3, before3 = servo_at_rest(setpoint[2], position[2], servo, 2 * SERVO_WIDTH)
@@ -373,7 +386,7 @@ def links_at(x: tuple[float, ...], time: float, constants: Constants, lock: tupl
     stiff = constants.table.copy()
     for train in interpreted(trains)(stiff):
         stiff[train] = 0.0
-    return tuple(_settled(tuple(x), float(time), constants, stiff, lock))
+    return tuple(fitting(_settled, stiff)(tuple(x), float(time), constants, stiff, lock))
 
 
 def run_voltages(state: State, rows: Rows, constants: Constants, lock: tuple[float, ...], out: Any) -> int:
@@ -383,7 +396,7 @@ def run_voltages(state: State, rows: Rows, constants: Constants, lock: tuple[flo
     WIDE_ROW), whose row r is the state at the start of row r. Returns the first row that is not finite, or -1.
     """
     run: Callable[..., int] = _train_voltages if constants.active & TWO_MASS else _arm_voltages
-    return run(state, rows, constants, lock, out)
+    return fitting(run, constants.table)(state, rows, constants, lock, out)
 
 
 def run_servo(
@@ -395,7 +408,7 @@ def run_servo(
     the servo asks for them, a row a sample. Returns the first row of `out` that is not finite, or -1.
     """
     run: Callable[..., int] = _train_servo if constants.active & TWO_MASS else _arm_servo
-    return run(state, setpoints, loop, constants, lock, out, volts)
+    return fitting(run, constants.table)(state, setpoints, loop, constants, lock, out, volts)
 
 
 def accelerations(out: Any, rows: Rows, constants: Constants, lock: tuple[float, ...], result: Any) -> None:
@@ -405,4 +418,4 @@ def accelerations(out: Any, rows: Rows, constants: Constants, lock: tuple[float,
     rows : the voltage that reaches the amplifiers from each row on, and their times.
     """
     run: Callable[..., None] = _train_accelerations if constants.active & TWO_MASS else _arm_accelerations
-    run(out, rows, constants, lock, result)
+    fitting(run, constants.table)(out, rows, constants, lock, result)

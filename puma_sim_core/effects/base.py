@@ -30,7 +30,7 @@ from enum import Enum, IntFlag
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from puma_sim_core.checks import is_number
-from puma_sim_core.errors import ParameterError
+from puma_sim_core.errors import ParameterError, one_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -238,6 +238,7 @@ class Kind:
     screening: Screening | None = None  #: how it is found in a measured log; None where it is only simulated
     look_alikes: tuple[LookAlike, ...] = ()  #: what it may be mistaken for, where `relations` does not list it
     contains: tuple[str, ...] = ()  #: its special cases, where `relations` does not list them
+    alike_in_part: tuple[str, ...] = ()  #: those that it only looks like while a joint stays on one side
     drawn_against: tuple[str, ...] = ()  #: signals to draw its residual against, the first one that there is
     directed: bool = False  #: the residual is drawn times the direction of motion
     needs: Needs | None = None  #: what a mechanism must have
@@ -246,6 +247,11 @@ class Kind:
     fine: bool = False  #: regressors need a fine step
     shifts_zero: bool = False  #: its size is a wrong zero of the joint's sensor
     example: str = ""  #: as on a command line
+
+    @property
+    def special_cases(self) -> tuple[str, ...]:
+        """Effects that it includes wherever the joint is: where they are enough it is not asked for."""
+        return tuple(name for name in self.contains if name not in self.alike_in_part)
 
     @property
     def stage(self) -> int:
@@ -302,13 +308,14 @@ class Effect:
     def __post_init__(self) -> None:
         where = f"effect {self.kind.name}"
         if self.kind.per_joint and (type(self.joint) is not int or not 1 <= self.joint <= 3):
-            raise ParameterError(f"joint {self.joint}", where=where, expected="joint=1, 2 or 3")
+            what = "no joint" if self.joint is None else f"joint {self.joint}"
+            raise ParameterError(what, where=where, expected="joint=1, 2 or 3")
         if not self.kind.per_joint and self.joint is not None:
             raise ParameterError(f"joint {self.joint}", where=where, expected="no joint: it acts on the whole arm")
         known = [p.name for p in self.kind.parameters]
         for name in self.values:
             if name not in known:
-                raise ParameterError(f"unknown parameter '{name}'", where=where, expected=f"one of {', '.join(known)}")
+                raise ParameterError(f"unknown parameter '{name}'", where=where, expected=one_of(name, known))
         complete = {}
         for p in self.kind.parameters:
             value = self.values.get(p.name, p.default)

@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import Any
 
 from puma_sim_core.effects.base import Effect, Kind, LookAlike, Point, Stage
-from puma_sim_core.effects.relations import CONTAINS, LOOK_ALIKES
-from puma_sim_core.errors import ParameterError
+from puma_sim_core.effects.relations import ALIKE_IN_PART, CONTAINS, LOOK_ALIKES
+from puma_sim_core.errors import ParameterError, one_of
 from puma_sim_core.jit import add_source
 
 #: environment variable with the files of users' own effects
@@ -116,7 +116,12 @@ def _related(kinds: list[Kind]) -> dict[str, Kind]:
             table[one].append(LookAlike(other, mine, its))
             table[other].append(LookAlike(one, its, mine))
     return {
-        name: replace(kind, look_alikes=tuple(table[name]), contains=CONTAINS.get(name, kind.contains))
+        name: replace(
+            kind,
+            look_alikes=tuple(table[name]),
+            contains=CONTAINS.get(name, kind.contains),
+            alike_in_part=ALIKE_IN_PART.get(name, kind.alike_in_part),
+        )
         for name, kind in found.items()
     }
 
@@ -198,7 +203,7 @@ def parse_effect(text: str) -> Effect:
     where = f"effect '{text}'"
     name, _, rest = text.strip().partition(":")
     if name not in KINDS:
-        raise ParameterError(f"unknown effect '{name}'", where=where, expected=f"one of {', '.join(KINDS)}")
+        raise ParameterError(f"unknown effect '{name}'", where=where, expected=one_of(name, KINDS, "`puma-sim list`"))
     values: dict[str, float] = {}
     for item in filter(None, rest.split(",")):
         key, equals, value = (part.strip() for part in item.partition("="))

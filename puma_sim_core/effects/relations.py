@@ -13,5 +13,7 @@ _FILE = read_yaml(Path(__file__).with_suffix(".yaml"))
 LOOK_ALIKES: tuple[tuple[str, str, str, str], ...] = tuple(map(tuple, _FILE["look_alikes"]))
 #: effect -> special cases that it includes; where they are enough they are named
 CONTAINS: dict[str, tuple[str, ...]] = {name: tuple(cases) for name, cases in _FILE["contains"].items()}
+#: effect -> those of them that it only looks like while the joint stays on one side of where it acts
+ALIKE_IN_PART: dict[str, tuple[str, ...]] = {name: tuple(cases) for name, cases in _FILE["alike_in_part"].items()}
 #: (one, other, why): what voltage and position alone can never tell apart
 EXACT_TIES: tuple[tuple[str, str, str], ...] = tuple(map(tuple, _FILE["exact_ties"]))

@@ -12,8 +12,8 @@ from puma_sim_core.effects.shared.columns import candidate, on_joint, positive, 
 from puma_sim_core.jit import Table, inlined
 
 #: where a stop may begin, in shares of the travelled range from its end: a hard stop yields by a thousandth of it, a
-#: soft one is pressed in for half of the motion
-_DEPTHS = np.geomspace(0.0012, 0.45, 20)
+#: soft one is pressed in for most of the motion, or all the time
+_DEPTHS = np.geomspace(0.0012, 1.1, 24)
 #: counts of the encoder that a stop must be pressed in to be seen at all, and samples in it that show it
 _COUNTS, _SAMPLES = 5.0, 20
 #: deflection of a stop
@@ -80,7 +80,7 @@ EFFECT = Kind(
     parameters=(
         stop("lower", 0, -inf),
         stop("upper", 1, inf),
-        Parameter("stiffness", "N.m/rad", 0.0, 1e6, "K", RATE, (100.0, 1e5), default=1e4),
+        Parameter("stiffness", "N.m/rad", 0.0, 1e6, "K", RATE, (5.0, 1e5), default=1e4),
         Parameter("damping", "N.m.s/rad", 0.0, 1000.0, "B", default=100.0),
     ),
     laws=(Law(Point.LINK_TORQUE, stop_torque),),

@@ -1,14 +1,18 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
-"""Compile what `explain` runs, ahead of its first use.
+"""Compile the kernel ahead of its first use, part by part.
 
 `python -m puma_sim_core.identify.compile_ahead` takes the better part of a minute; what it makes is kept
-on the disk, for this user and these sources.
+on the disk, for this user and these sources. What is there already is left alone, and of several of these processes one
+works while the others wait.
 """
 
+import fcntl
+import os
 import sys
 
 import numpy as np
 
+from puma_sim_core import jit
 from puma_sim_core.effects import KINDS, parse_effect
 from puma_sim_core.effects.base import Stage
 from puma_sim_core.identify.data.log import Log
@@ -16,32 +20,63 @@ from puma_sim_core.identify.data.sampling import sample
 from puma_sim_core.identify.screening.known_effects import known_voltage
 from puma_sim_core.identify.screening.problem import Problem
 from puma_sim_core.plant.mechanism_file import load_mechanism
+from puma_sim_core.plant.plant import Plant
+from puma_sim_core.simulation.session import Session
+from puma_sim_core.simulation.session_config import COMMAND_INTERFACES, SessionConfig
 from puma_sim_core.simulation.simulator import Simulator
 from puma_sim_core.simulation.tracking import innovations
 
-
-def _models() -> list[tuple[str, ...]]:
-    """Effects of a model for each part of the kernel: none, dry friction, two masses."""
-    dry = next(kind.example for kind in KINDS.values() if kind.stage == Stage.DRY)
-    soft = next(kind.example for kind in KINDS.values() if kind.two_masses)
-    return [(), (dry,), (soft,)]
+#: an effect with dry friction, and one of two masses
+_DRY = next(kind.example for kind in KINDS.values() if kind.stage == Stage.DRY)
+_SOFT = next(kind.example for kind in KINDS.values() if kind.two_masses)
 
 
-def main() -> int:
-    """Run each compiled part on a second of a slow motion."""
+def _simulated(plant: Plant) -> None:
+    """What sessions and simulations run of a plant."""
+    for interface in COMMAND_INTERFACES:
+        Session(SessionConfig(plant, interface)).step()
+    simulator, time = Simulator(plant), np.array([0.0, 0.001, 0.002])
+    simulator.run(time, np.zeros((3, 3)), acceleration=True)
+    simulator.run_servo(np.zeros((1, 3)))
+
+
+def _identified() -> None:
+    """What `explain` runs beside that, on a second of a slow motion."""
     mechanism = load_mechanism()
     time = np.arange(0.0, 3.0, 0.01)
     position = 0.1 * np.sin(np.outer(time, (3.0, 4.0, 5.0)))
     voltage = np.zeros_like(position)
     theta = mechanism.start
     signals = Problem(sample([Log("made", time, voltage, position)]), mechanism).signals(theta)
-    for texts in _models():
+    for texts in ((), (_DRY,), (_SOFT,)):
         plant = mechanism.plant(theta, [parse_effect(text) for text in texts])
         rows = slice(0, 4)
         innovations(Simulator(plant), time[rows], voltage[rows], position[rows], np.zeros((3, 3)))
-        Simulator(plant).run(time[rows], voltage[rows])
         if texts:
             known_voltage(mechanism.of_plant(plant), theta, signals)
+
+
+#: part -> what to run of it, in the order of `jit.PARTS`
+_PARTS = {
+    "arm": lambda: _simulated(Plant.of()),
+    "trains": lambda: _simulated(Plant.of(effects=[parse_effect(_SOFT)])),
+    "identification": _identified,
+}
+
+
+def main() -> int:
+    """Run each part that is not in the cache; with ``--behind`` at low priority."""
+    if "--behind" in sys.argv:
+        os.nice(10)
+    if jit.compiled_mark("lock") is None:
+        return 0
+    with open(str(jit.compiled_mark("lock")), "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        for part in jit.PARTS:
+            mark = jit.compiled_mark(part)
+            if mark is not None and not mark.exists():
+                _PARTS[part]()
+                mark.touch()
     return 0
 
 

@@ -6,25 +6,29 @@ import time as clock
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from puma_sim_core import __version__
 from puma_sim_core.errors import RecordingError
+from puma_sim_core.identify.agreement import agreement as compare
 from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.checks import feedback
 from puma_sim_core.identify.checks.gate import check
 from puma_sim_core.identify.checks.wrong_zero import wrong_zeros
-from puma_sim_core.identify.data.ingest import read_log
 from puma_sim_core.identify.data.log import Log
+from puma_sim_core.identify.data.machine_log import read_for, with_volts
 from puma_sim_core.identify.fitting import intervals
 from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
 from puma_sim_core.identify.fitting.trials import Trials
+from puma_sim_core.identify.memory import release
 from puma_sim_core.identify.outcome import Findings, compose, fault_sentence
 from puma_sim_core.identify.prepare import Prepared, prepare, silent
+from puma_sim_core.identify.report.json import report_mapping
 from puma_sim_core.identify.residuals.shape import Curve
 from puma_sim_core.identify.residuals.unnamed import Unnamed, remainder
-from puma_sim_core.identify.result import DATA_FAULT, Detectable, Errors, Explanation, Fault, FeedbackBias
+from puma_sim_core.identify.result import DATA_FAULT, Agreement, Detectable, Errors, Explanation, Fault, FeedbackBias
 from puma_sim_core.identify.screening.causal import CausalScreen
 from puma_sim_core.identify.screening.detect import detectable
 from puma_sim_core.identify.screening.hypotheses import candidates, hypotheses
@@ -34,6 +38,8 @@ from puma_sim_core.identify.selection.selection import Selection
 from puma_sim_core.identify.selection.state import SelectionState
 from puma_sim_core.identify.selection.validate import rms
 from puma_sim_core.identify.settings import CHECKS
+from puma_sim_core.identify.standing import NAMED, TIED, standings
+from puma_sim_core.jit import is_compiled
 from puma_sim_core.plant.mechanism import Mechanism
 from puma_sim_core.plant.mechanism_file import load_mechanism
 
@@ -51,6 +57,7 @@ def explain(
     columns: Mapping[str, str] | None = None,
     seed: int = 0,
     strict: bool = False,
+    agreement: bool = False,
     progress: Callable[[str, float], None] | None = None,
 ) -> Explanation:
     """What the model lacks, by measured logs.
@@ -65,6 +72,8 @@ def explain(
     columns : channel -> column of the files, such as {"voltage1": "motor_V"}.
     seed : of the placebos and of simulated noise.
     strict : refuse a log with rows that cannot be used, in place of leaving them out.
+    agreement : explain several logs one by one as well, and compare the answers. It takes about as long again as the
+        logs together.
     progress : called with (what is done, share 0..1).
 
     Returns
@@ -77,27 +86,33 @@ def explain(
     ParameterError, ModelError : a mechanism, set or model that cannot be used.
     """
     begin = clock.perf_counter()
-    progress = progress or silent
+    progress = told = progress or silent
     mechanism = load_mechanism(plant, parameters=parameters, model=model)
     progress("reading", 0.0)
-    fitted, validation = (_logs(given, columns, mechanism.joints) for given in (logs, held_out))
+    fitted, validation = (_logs(given, columns, mechanism) for given in (logs, held_out))
     if not fitted:
         raise RecordingError("no log", where="explain", expected="one at least")
+    agreement = agreement and len(fitted) > 1
+    if agreement:
+        progress = _within(told, 0.0, 0.5)
     checked = [check(log, mechanism) for log in fitted]
     cuts = [cut for each in checked for cut in each.cuts]
     faults = [fault for each in checked for fault in each.faults] or (cuts if strict else [])
     notes = list(dict.fromkeys(note for each in checked for note in each.notes))
     beside, unusable = usable(validation, mechanism)
     if not faults:
+        is_compiled("identification")  # a program may wait here until it is
         parts = [part for each in checked for part in each.parts]
         stages = Stages(prepare(parts, mechanism, progress), seed, progress, beside)
+        release()
         state = stages.select()
         doubts = [doubt for each in checked for doubt in each.doubts]
         faults = wrong_zeros(state.history) or stages.unexplained(state, doubts)
+    mechanism_of: dict[str, Any] = {"plant": plant, "parameters": parameters, "model": model}
     if faults:
         explanation = Explanation(DATA_FAULT, fault_sentence(faults), faults=tuple(faults))
     else:
-        source = {"plant": str(plant), "parameters": parameters, "model": None if model is None else str(model)}
+        source = {name: None if given is None else str(given) for name, given in mechanism_of.items()}
         explanation = compose(stages.findings(stages.validate(state), source))
     return replace(
         explanation,
@@ -109,13 +124,36 @@ def explain(
         position_unit=mechanism.position_unit,
         notes=(*notes, *explanation.notes, *unusable),
         cuts=() if faults else tuple(cuts),
+        agreement=_compared(fitted, mechanism_of, seed, strict, told) if agreement and not faults else None,
         seconds=clock.perf_counter() - begin,
     )
 
 
-def _logs(given: Logs, columns: Mapping[str, str] | None, joints: int) -> list[Log]:
+def _within(progress: Callable[[str, float], None], low: float, high: float) -> Callable[[str, float], None]:
+    """Progress from low to high of that of a whole."""
+    return lambda what, share: progress(what, low + (high - low) * share)
+
+
+def _compared(
+    logs: Sequence[Log], source: Mapping[str, Any], seed: int, strict: bool, progress: Callable[[str, float], None]
+) -> Agreement:
+    """The answers of logs explained one by one; source : plant, parameters and model."""
+    reports: list[dict[str, Any] | None] = []
+    for n, log in enumerate(logs):
+        own = _within(progress, 0.5 + 0.5 * n / len(logs), 0.5 + 0.5 * (n + 1) / len(logs))
+        try:
+            reports.append(report_mapping(explain(log, **source, seed=seed, strict=strict, progress=own)))
+        except RecordingError:
+            # too short alone
+            reports.append(None)
+    return compare([log.name for log in logs], reports)
+
+
+def _logs(given: Logs, columns: Mapping[str, str] | None, mechanism: Mechanism) -> list[Log]:
     several = [given] if isinstance(given, (str, Log, os.PathLike)) else given
-    return [log if isinstance(log, Log) else read_log(log, columns, joints) for log in several]
+    return [
+        with_volts(log if isinstance(log, Log) else read_for(mechanism, log, columns), mechanism) for log in several
+    ]
 
 
 def usable(held_out: list[Log], mechanism: Mechanism) -> tuple[list[Log], list[str]]:
@@ -162,7 +200,7 @@ class Stages:
         return self.selection.run(self.prepared.retuned.theta)
 
     def unexplained(self, state: SelectionState, doubts: Sequence[Fault]) -> list[Fault]:
-        """The doubts about joints whose voltage the effects found do not explain for most of the time."""
+        """The doubts about joints whose voltage the effects found leave most of."""
         if not doubts or not state.chosen:
             return list(doubts)
         p, left = self.predictor, np.abs(self._volts(state.model.point))
@@ -170,20 +208,23 @@ class Stages:
         found = []
         for doubt in doubts:
             j = int(doubt.channel[-1]) - 1
-            rows = p.fit_rows[:, j]
-            size = np.median(np.abs(volts[rows, j] - np.median(volts[rows, j])))
-            if not np.median(left[rows, j]) < CHECKS.channel_another * size:
+            own = volts[p.fit_rows[:, j], j]
+            # means: a voltage that is clipped most of the time has a median deviation of zero
+            size = np.abs(own - own.mean()).mean()
+            if not left[p.fit_rows[:, j], j].mean() < CHECKS.channel_another * size:
                 found.append(doubt)
         return found
 
     def validate(self, state: SelectionState) -> SelectionState:
-        """The selection without the effects, weakest first, that do not lower the error in cross-validation."""
+        """The selection without the effects, weakest first, that do not predict better in cross-validation."""
         self.progress("validating", 0.86)
         return retracted(self.selection, state, self.folds)
 
     def findings(self, state: SelectionState, source: Mapping[str, str | None]) -> Findings:
         """What the stages after the validation find. source : how `explain` was called."""
+        release()
         state, curves, chance = self.free_curves(state)
+        release()
         detectability = self.detectability(state)
         residuals, errors = self.errors(state)
         bias, bounds = self.feedback_bias(state), intervals.intervals(self.fit(state), state.model)
@@ -205,14 +246,25 @@ class Stages:
         return state, curves, chance
 
     def detectability(self, state: SelectionState) -> tuple[Detectable, ...]:
-        """The smallest size of each effect that the log could have shown."""
+        """The smallest size of each effect that the log could have shown beside the effects found.
+
+        Of these, and of what is tied with them, it is that in the model without any, and no larger than the one found.
+        """
         self.progress("what could have been seen", 0.93)
-        fit, model = self.fit(state), state.model
-        causal = CausalScreen(fit, model.point, model.errors, fit.whitened(state.derivatives), self.problem)
+        alike = {row.key: row.trial.effect for row in standings(state) if row.verdict in (NAMED, TIED)}
+        alike |= dict(zip(state.keys, state.model.point.effects))
+        fit, bare = self.fit(state), state.weighted_retuned.fitted
+        beside = CausalScreen(fit, state.model.point, state.model.errors, fit.whitened(state.derivatives), self.problem)
+        alone = beside
+        if alike:
+            columns = fit.whitened(fit.derivatives(bare.point, ()))
+            alone = CausalScreen(fit, bare.point, bare.errors, columns, self.problem)
         rows = []
-        for kind, joint in hypotheses(self.prepared.library.values(), self.mechanism.joints):
+        for kind, joint in hypotheses(self.prepared.library.values(), self.mechanism):
+            found = alike.get((kind.name, joint))
+            causal = beside if found is None else alone
             pairs = [(c, causal.gram(c)) for c in candidates(kind, joint, causal.signals)]
-            row = detectable(kind, joint, pairs, state.history[-1].needed(joint))
+            row = detectable(kind, joint, pairs, state.history[-1].needed(joint), found)
             rows.append(replace(row, unit=self.mechanism.unit(row.unit)))
         return tuple(rows)
 
@@ -227,7 +279,7 @@ class Stages:
         left = np.where(p.fit_rows, p.errors(plants["augmented"]), np.nan)
         volts, sensed = p.noise_behind(np.nanvar(left, axis=0), self.problem.sampled.position_noise)
         # what a remainder leaves in the innovations is no noise, nor is all that came before a name
-        noise = np.minimum(volts, p.volts), sensed
+        noise = np.minimum(volts, p.expected), sensed
         weighted = {"retuned": state.weighted_retuned, "augmented": state.weighted}
         tables = {"fit": self.folds.folds[0].validation.errors(plants, residuals, floor, noise)}
         tables |= self.folds.errors({"nominal": start, **weighted}, floor, noise)
@@ -246,15 +298,12 @@ class Stages:
         return self.folds.folds[0].validation.volts(point.plant(self.mechanism))
 
     def _floor(self, state: SelectionState) -> Floats:
-        """(J,) noise of the residual [V]: the predictor's, less as the selection lowered the innovations."""
-        raw = self.predictor.errors(state.model.point.plant(self.mechanism))
-        raw = np.where(self.predictor.fit_rows, raw, np.nan)
-        less = np.minimum(1.0, np.nanstd(raw, axis=0) / np.array(self.predictor.spread))
-        return less * self.predictor.floor_in_volts(self.problem.sampled.cutoffs[1])
+        """(J,) noise of the residual [V], as the weighting of the innovations has it."""
+        return self.predictor.floor_in_volts(self.problem.sampled.cutoffs[1], state.noise)
 
 
 def retracted(selection: Selection, state: SelectionState, folds: CrossValidation) -> SelectionState:
-    """The selection without the effects, weakest first, that do not lower the error in cross-validation."""
-    while state.chosen and not folds.lower(state.weighted, state.weighted_retuned):
+    """The selection without the effects, weakest first, that do not predict better in cross-validation."""
+    while state.chosen and not folds.better(state.weighted, state.weighted_retuned):
         state = selection.without(state, min(state.chosen, key=lambda chosen: chosen.gain).key)
     return state

@@ -6,18 +6,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from puma_sim_core.effects import KINDS, Effect
+from puma_sim_core.effects import Effect
 from puma_sim_core.effects.relations import EXACT_TIES
 from puma_sim_core.identify import result
 from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.experiment.next_experiment import next_experiment
 from puma_sim_core.identify.fitting.predictor import Predictor
-from puma_sim_core.identify.fitting.trials import Trial, tied
 from puma_sim_core.identify.prepare import Prepared
 from puma_sim_core.identify.residuals.shape import Curve, describe
 from puma_sim_core.identify.residuals.unnamed import remainder
-from puma_sim_core.identify.selection.state import SelectionState, Stage
+from puma_sim_core.identify.selection.state import SelectionState
 from puma_sim_core.identify.settings import RESIDUALS
+from puma_sim_core.identify.standing import Standing, ranking, ruled_out, standings, ties
+from puma_sim_core.pages.text import effect_name, scale
 from puma_sim_core.plant.mechanism import Mechanism
 
 #: signals that residuals may be drawn against
@@ -46,14 +47,15 @@ def fault_sentence(faults: list[result.Fault]) -> str:
     """The verdict on faulty data in one sentence."""
     first = faults[0]
     row = "" if first.row is None else f", row {first.row}"
-    more = f", and {len(faults) - 1} more" if len(faults) > 1 else ""
+    more = f", and {len(faults) - 1} more fault{'s' * (len(faults) > 2)}" if len(faults) > 1 else ""
     return f"The data cannot be used: {first.channel}{row}: {first.what}{more}."
 
 
 def compose(found: Findings) -> result.Explanation:
     """The explanation from all stages."""
     s, m = found.state, found.prepared.problem.mechanism
-    names = _named(found)
+    rows = standings(s)
+    names = _named(found, rows)
     volts = found.errors["fit"].voltage_rms
     unnamed = remainder(s, found.curves, found.chance, np.asarray(volts.augmented) / volts.floor)
     beyond = beyond_noise(found.errors["held_out"].position_rms)
@@ -67,9 +69,8 @@ def compose(found: Findings) -> result.Explanation:
         best = [(c, c.scored) for c in found.curves[: RESIDUALS.ranked_curves]]
         ranked = ((f"{s.name} (joint {s.joint}) {c.way}".rstrip(), float(s.gain)) for c, s in best)
         curve = describe(unnamed, tuple(ranked))
-    ties = [(result.Hypothesis(e.name, e.joint), other) for e in names for other in e.tied_with]
-    keys = {(e.name, e.joint) for e in names}
-    unseen = [d for d in found.detectability if not d.excited and (d.name, d.joint) not in keys]
+    alike = [(result.Hypothesis(e.name, e.joint), *e.tied_with) for e in names if e.tied_with]
+    unseen = [d for d in found.detectability if not d.excited]
     return result.Explanation(
         verdict,
         _sentence(verdict, names, curve, found.errors, beyond),
@@ -78,9 +79,9 @@ def compose(found: Findings) -> result.Explanation:
         curve,
         (),
         found.detectability,
-        next_experiment(m, ties, unseen, found.prepared.logs[0].name, **found.source),
+        next_experiment(m, alike, unseen, found.prepared.logs[0].name, **found.source),
         found.bias,
-        _ranking(s, names),
+        ranking(rows),
         (*_exact_ties(names), *_strained(m, s)),
         _drawn(found),
         s.model.point.plant(m),
@@ -104,7 +105,8 @@ def beyond_noise(errors: result.StageErrors) -> tuple[int, float] | None:
     return int(np.nanargmax(ratio)) + 1, float(np.nanmax(ratio))
 
 
-def _named(found: Findings) -> tuple[result.NamedEffect, ...]:
+def _named(found: Findings, rows: tuple[Standing, ...]) -> tuple[result.NamedEffect, ...]:
+    """The effects of the model, the greatest evidence first."""
     s, named = found.state, []
     for number, (key, chosen) in enumerate(zip(s.keys, s.chosen)):
         effect = s.model.point.effects[number]
@@ -114,34 +116,13 @@ def _named(found: Findings) -> tuple[result.NamedEffect, ...]:
             if (number, name) in found.intervals or (np.isfinite(value) and _asked(effect, name)):
                 middle, low, high = map(float, found.intervals.get((number, name), (value, value, value)))
                 parameters[name] = result.Interval(middle, low, high, units[name])
-        own, ties, out = chosen.trial, [], []
-        for t in chosen.stage.trials:
-            if t.key == key or t.key in s.keys:
-                continue
-            if t.problem is None and tied(own, t):
-                ties.append(result.Hypothesis(t.name, t.joint))
-            else:
-                out.append(result.RuledOut(t.name, t.joint, _because(key[0], t, own)))
-        seen = {(t.name, t.joint) for t in chosen.stage.trials}
-        for other, text, _ in KINDS[key[0]].look_alikes:
-            joint = key[1] if other in KINDS and KINDS[other].per_joint else None
-            if other in KINDS and (other, joint) not in seen and (other, joint) not in s.keys:
-                out.append(result.RuledOut(other, joint, f"the screening gave it no evidence; {text}"))
-        named.append(result.NamedEffect(key[0], key[1], parameters, float(own.gain), tuple(ties), tuple(out)))
-    return tuple(named)
+        named.append(result.NamedEffect(*key, parameters, float(chosen.gain), ties(rows, key), ruled_out(rows, key)))
+    return tuple(sorted(named, key=lambda each: -each.evidence))
 
 
 def _asked(effect: Effect, name: str) -> bool:
     """Whether a parameter that is not fitted says something: not a default of the structure."""
     return effect.kind.parameter(name).from_arm is None and name != "motor_share"
-
-
-def _because(named: str, trial: Trial, best: Trial) -> str:
-    if trial.problem is not None:
-        return trial.problem
-    text = KINDS[named].told_from(trial.name)
-    lower = f"its evidence is lower by {best.gain - trial.gain:.0f} nat"
-    return f"{lower}: {text}" if text else lower
 
 
 def _sentence(
@@ -151,13 +132,6 @@ def _sentence(
     errors: Mapping[str, result.Errors],
     beyond: tuple[int, float] | None,
 ) -> str:
-    volts = errors["held_out"].voltage_rms
-
-    def change(joint: int | None) -> str:
-        rows = slice(None) if joint is None else slice(joint - 1, joint)
-        before, after = (np.sqrt(np.mean(each[rows] ** 2)) for each in (volts.retuned, volts.augmented))
-        return f"{before:.3g} to {after:.3g} V"
-
     if verdict == result.NOTHING_MISSING:
         return "Nothing is missing that this log could show: the retuned model explains it down to its noise."
     times = "" if beyond is None else f"the open-loop error of joint {beyond[0]} is {beyond[1]:.3g} times its noise"
@@ -171,44 +145,31 @@ def _sentence(
         return f"Something is missing on joint {curve.joint} that no effect of the library explains: {what}{also}."
     parts = []
     for e in names:
+        sizes = ", ".join(f"{n.replace('_', ' ')} {_size(i.value, i.unit)}" for n, i in e.parameters.items())
         where = "the whole arm" if e.joint is None else f"joint {e.joint}"
-        size = ", ".join(
-            f"{n} {i.value:.3g} {i.unit if i.unit != '1' else ''}".strip() for n, i in e.parameters.items()
-        )
-        parts.append(f"{e.name} on {where} ({size}; the error on the validation set falls from {change(e.joint)})")
-    text = f"The model lacks {' and '.join(parts)}"
+        parts.append(f"{effect_name(e.name, lower=True)} on {where} ({sizes})")
+    joints = [None] if any(e.joint is None for e in names) else sorted({e.joint for e in names if e.joint})
+    text = f"The model lacks {' and '.join(parts)}; by parameters fitted to other rows of the logs the residual "
+    text += " and ".join(_change(errors["held_out"].voltage_rms, joint) for joint in joints)
     if verdict == result.NAMED_WITH_REMAINDER and curve is not None:
         text += f"; beside that something over {curve.axis} of joint {curve.joint} is left that has no name"
     return f"{text}; {times}." if times else f"{text}."
 
 
-def _ranking(s: SelectionState, names: tuple[result.NamedEffect, ...]) -> tuple[result.Ranked, ...]:
-    chosen = {(e.name, e.joint) for e in names}
-    stage, rows = s.history[0], {}
-    for t in stage.trials:
-        verdict = "named" if t.key in chosen else _refused(s, stage, t)
-        rows[t.key] = result.Ranked(t.name, t.joint, float(t.gain), verdict)
-    for e in names:
-        rows.setdefault((e.name, e.joint), result.Ranked(e.name, e.joint, float(e.evidence), "named"))
-    return tuple(sorted(rows.values(), key=lambda r: -r.evidence))
+def _size(value: float, unit: str) -> str:
+    """A size in a unit that reads well."""
+    factor, shown = scale([value], unit)
+    return f"{value * factor:.3g} {'' if shown == '1' else shown}".strip()
 
 
-def _refused(s: SelectionState, stage: Stage, t: Trial) -> str:
-    """Why a trial of a stage was given no name."""
-    best = stage.accepted
-    if t.problem is not None:
-        return t.problem
-    if t.key in s.retracted:
-        return "retracted: it does not lower the validation error, or a free curve leaves clearly less"
-    if best is not None and best.key not in s.retracted and tied(best, t):
-        return "tied"
-    if t.gain <= stage.needed(t.joint):
-        return f"below the threshold of {stage.needed(t.joint):.0f} nat"
-    if t.validation_gain <= 0.0:
-        return "it does not lower the error on the validation set"
-    if best is not None:
-        return f"lower than {best.name} by {best.gain - t.gain:.0f} nat"
-    return "too little of it acts in the validation set"
+def _change(volts: result.StageErrors, joint: int | None) -> str:
+    """The residual of a joint (1-based; None: of all) before and after."""
+    rows = slice(None) if joint is None else slice(joint - 1, joint)
+    before, after = (float(np.sqrt(np.mean(each[rows] ** 2))) for each in (volts.retuned, volts.augmented))
+    factor, unit = scale([before, after], "V")
+    falls = "falls" if after < before else "goes"
+    where = "of all joints" if joint is None else f"of joint {joint}"
+    return f"{where} {falls} from {before * factor:.3g} to {after * factor:.3g} {unit}"
 
 
 def _exact_ties(names: tuple[result.NamedEffect, ...]) -> list[str]:
@@ -227,7 +188,7 @@ def _strained(m: Mechanism, s: SelectionState) -> list[str]:
     if not found:
         return []
     words = ", ".join(f"{name} by {x:+.1f}" for _, name, x in found[: RESIDUALS.listed])
-    more = f" and {len(found) - RESIDUALS.listed} more" if len(found) > RESIDUALS.listed else ""
+    more = f" and {len(found) - RESIDUALS.listed} more parameters" if len(found) > RESIDUALS.listed else ""
     return [
         f"Parameters are farther from their start than their priors allow ({words}{more} standard deviations): the "
         "start values are of another machine, or parameters account for what looks like them, such as a payload."

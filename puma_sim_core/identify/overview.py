@@ -32,13 +32,15 @@ class JointMotion:
 @dataclass(frozen=True)
 class Overview:
     """log, and what of it can be used; motion : of each joint; shown, hidden : effects that its motion can show, and
-    those for which the motion has nothing that they act on. The last three are empty where nothing can be used."""
+    those for which it has nothing that they act on; these three are empty where nothing can be used. exchanged :
+    whether the log can be used with positions for voltages and voltages for positions."""
 
     log: Log
     checked: Checked
     motion: tuple[JointMotion, ...] = ()
     shown: tuple[Hypothesis, ...] = ()
     hidden: tuple[Hypothesis, ...] = ()
+    exchanged: bool = False
 
     def lines(self, position_unit: str) -> list[str]:
         """The overview as text."""
@@ -52,6 +54,7 @@ class Overview:
         lines += [f"  left out: {cut.channel}, row {cut.row}: {cut.what}" for cut in found.cuts]
         lines += [f"  fault: {fault.channel}: {fault.what}" for fault in (*found.faults, *found.doubts)]
         if not found.parts:
+            lines += ["  are the columns of voltages and positions exchanged?"] if self.exchanged else []
             return [*lines, "  nothing of it can be used"]
         parts = f" in {len(found.parts)} parts" if len(found.parts) > 1 else ""
         lines.append(f"  used: {sum(map(len, found.parts))} rows{parts}")
@@ -69,7 +72,8 @@ def overview(log: Log, mechanism: Mechanism) -> Overview:
     """Look at a log as `explain` would, without any fit."""
     checked = check(log, mechanism)
     if not checked.parts:
-        return Overview(log, checked)
+        other = check(replace(log, voltage=log.position, position=log.voltage, quantum=np.zeros(0)), mechanism)
+        return Overview(log, checked, exchanged=bool(other.parts) and not other.doubts)
     problem = Problem(sample(checked.parts), mechanism)
     s, start = problem.sampled, mechanism.start
     signals = replace(problem.signals(start), residual=problem.full_residual(start))
@@ -78,7 +82,7 @@ def overview(log: Log, mechanism: Mechanism) -> Overview:
         for j, moving in enumerate(problem.usable.mean(axis=0).tolist())
     )
     shown, hidden = list[Hypothesis](), list[Hypothesis]()
-    for kind, joint in hypotheses(library_of(mechanism).values(), mechanism.joints):
+    for kind, joint in hypotheses(library_of(mechanism).values(), mechanism):
         (shown if candidates(kind, joint, signals) else hidden).append(Hypothesis(kind.name, joint))
     return Overview(log, checked, motion, tuple(shown), tuple(hidden))
 

@@ -50,7 +50,7 @@ class Prepared:
         problem, mechanism = Problem(sampled, self.problem.mechanism, None), self.problem.mechanism
         noise = self.problem.sampled.position_noise
         chosen = _validation(problem, len(logs))
-        return problem, Predictor(logs, mechanism, chosen, self.predictor.volts, noise)
+        return problem, Predictor(logs, mechanism, chosen, None, noise, self.predictor.expected)
 
 
 def prepare(logs: Sequence[Log], mechanism: Mechanism, progress: Callable[[str, float], None] = silent) -> Prepared:
@@ -69,7 +69,7 @@ def prepare(logs: Sequence[Log], mechanism: Mechanism, progress: Callable[[str, 
     noise = np.sqrt([weights[0] for weights in search.noise_of(retuned.residual(), white_only=True)])
     scale = mechanism.drive(mechanism.start).volts_per_torque * np.asarray(mechanism.torque_scale)
     noise = np.clip(noise, FITTING.least_expected_noise * scale, FITTING.greatest_expected_noise * scale)
-    predictor = Predictor(logs, mechanism, _validation(problem, len(logs)), noise, sampled.position_noise)
+    predictor = Predictor(logs, mechanism, _validation(problem, len(logs)), None, sampled.position_noise, noise)
     return Prepared(tuple(logs), problem, library, search, retuned, predictor)
 
 

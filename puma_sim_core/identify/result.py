@@ -16,6 +16,9 @@ VERDICTS = (NOTHING_MISSING, NAMED, NAMED_WITH_REMAINDER, UNNAMED, DATA_FAULT)
 
 NOT_EXCITED = "NOT_EXCITED"
 
+#: p-value below which sizes of several logs do not agree: the usual level of a test
+AGREEMENT_LEVEL = 0.05
+
 #: rows that errors are measured at: fitted, not fitted, of these those that the choice of effects has not seen, and
 #: logs outside the analysis
 PARTS = ("fit", "held_out", "unseen", "held_out_logs")
@@ -68,7 +71,8 @@ class RuledOut:
 
 @dataclass(frozen=True)
 class NamedEffect:
-    """An effect that the model lacked: gain of evidence [nat], what the log cannot tell from it, and what it can."""
+    """An effect that the model lacked: gain of evidence [nat] over the model without it, what the log cannot tell from
+    it, and what it can."""
 
     name: str
     joint: int | None
@@ -134,13 +138,19 @@ class Detectable:
 
 @dataclass(frozen=True)
 class Ranked:
-    """A row of the ranking: gain of log evidence when added alone to the retuned model, and the
-    reason why it is named, tied, or not ("named", "tied", or a sentence)."""
+    """A row of the ranking.
+
+    evidence [nat] : of an effect found, its gain over the model without it; of a hypothesis that could stand in for one
+    (`against`), its gain in that place; of another one, what it would add to the last model in which it was tried.
+    verdict : "named", "tied", or why it is neither; possible : whether its fit has sizes that a machine may have.
+    """
 
     name: str
     joint: int | None
     evidence: float
     verdict: str
+    against: Hypothesis | None = None
+    possible: bool = True
 
 
 @dataclass(frozen=True)
@@ -180,6 +190,45 @@ class NextExperiment:
 
 
 @dataclass(frozen=True)
+class AgreementOfSize:
+    """One parameter as each log alone gives it (None: not, or without bounds); where several do, their weighted mean,
+    Cochran's Q, its p-value, and I2, the share of the scatter that the intervals do not explain."""
+
+    parameter: str
+    unit: str
+    found: tuple[Interval | None, ...]
+    mean: Interval | None = None
+    q: float | None = None
+    p_value: float | None = None
+    i2: float | None = None
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the intervals allow one value, at a level of 5 %."""
+        return self.p_value is None or self.p_value >= AGREEMENT_LEVEL
+
+
+@dataclass(frozen=True)
+class AgreementOfEffect:
+    """What each log alone says of an effect: "named", "tied", "not named", "not excited" or "no answer"; its sizes."""
+
+    name: str
+    joint: int | None
+    states: tuple[str, ...]
+    sizes: tuple[AgreementOfSize, ...]
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """The answers of several logs of one machine, each explained alone; states and sizes are in the order of `logs`."""
+
+    logs: tuple[str, ...]
+    verdicts: tuple[str, ...]
+    effects: tuple[AgreementOfEffect, ...]
+    sentence: str
+
+
+@dataclass(frozen=True)
 class Explanation:
     """All that is found in a log. `model` is the augmented plant, None for a DATA_FAULT."""
 
@@ -207,3 +256,4 @@ class Explanation:
     version: str = ""
     seed: int = 0
     cuts: tuple[Fault, ...] = ()  # faults of rows that the logs were read without
+    agreement: Agreement | None = None  # of several logs, each explained alone as well

@@ -8,8 +8,10 @@ Colours become variables of the style sheet, so that the page can be light or da
 import html
 import io
 import math
+import os
 import re
 import textwrap
+from collections.abc import Sequence
 
 import matplotlib.style
 import numpy as np
@@ -17,14 +19,16 @@ from matplotlib import figure as canvas
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from puma_sim_core.pages.figure import COLOURS, Figure, Layer
+from puma_sim_core.errors import RecordingError
+from puma_sim_core.files import whole_bytes
+from puma_sim_core.pages.figure import COLOURS, Figure, Layer, legend
 from puma_sim_core.pages.text import raised
 
 _LIGHT = {name: light for name, (light, _) in COLOURS.items()}
 _VARIABLES = {light: f"var(--{name})" for name, light in _LIGHT.items()}
-_WIDTH = 4.6  # inch
 _DOTS = 500
 _STYLE = {
     "svg.fonttype": "none",
@@ -54,9 +58,13 @@ _STYLE = {
 
 
 def svg(figure: Figure, identifier: str) -> str:
-    """The drawing as an ``<svg>`` element; no other on the page may have its identifier."""
+    """The drawing as an ``<svg>`` element; no other on the page may have its identifier.
+
+    Its attribute ``data-axes`` holds left, top, right and bottom of the axes as shares of the drawing, and the limits
+    of x, for scripts that point into it.
+    """
     with matplotlib.style.context(["default", {**_STYLE, "svg.hashsalt": identifier}]):
-        drawing = canvas.Figure(figsize=(_WIDTH, figure.height), layout="constrained")
+        drawing = canvas.Figure(figsize=(figure.width, figure.height), layout="constrained")
         axes = drawing.add_subplot()
         for layer in figure.layers:
             _draw(axes, layer)
@@ -65,8 +73,40 @@ def svg(figure: Figure, identifier: str) -> str:
         metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
         # `savefig` would draw twice
         FigureCanvasSVG(drawing).print_svg(file, metadata=metadata)  # type: ignore[no-untyped-call]
+        box = axes.get_position()
+        place = " ".join(f"{each:.6g}" for each in (box.x0, 1.0 - box.y1, box.x1, 1.0 - box.y0, *axes.get_xlim()))
     label = html.escape(f"{figure.title}: {figure.y_label} against {figure.x_label}")
-    return _inline(file.getvalue(), label)
+    return _inline(file.getvalue(), label, place)
+
+
+def save(figures: Sequence[Figure], path: str | os.PathLike[str]) -> None:
+    """Write figures over one x, one below the other, as a picture: PNG, SVG or PDF, by the ending of the path.
+
+    Raises RecordingError: the file cannot be written.
+    """
+    with matplotlib.style.context(["default", {**_STYLE, "savefig.facecolor": _LIGHT["paper"], "svg.hashsalt": "0"}]):
+        tall = 0.4 + sum(figure.height for figure in figures)
+        drawing = canvas.Figure(figsize=(2 * figures[0].width, tall), layout="constrained")
+        ratios = [figure.height for figure in figures]
+        several = drawing.subplots(len(figures), sharex=True, squeeze=False, height_ratios=ratios)[:, 0]
+        for axes, figure in zip(several, figures):
+            for layer in figure.layers:
+                _draw(axes, layer)
+            _set_axes(axes, figure)
+            axes.set_title(figure.title, loc="left", fontsize="medium")
+            axes.label_outer()
+        lines = [
+            Line2D([], [], color=_LIGHT[each.colour], dashes=each.dashes or (None, None), label=each.label)
+            for each in legend(figures)
+        ]
+        drawing.legend(handles=lines, loc="outside lower center", ncols=max(1, len(lines)), frameon=False)
+        kind = os.path.splitext(path)[1][1:].lower()
+        # without the date: the same log, the same bytes
+        dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
+        picture = io.BytesIO()
+        drawing.savefig(picture, format=kind, dpi=150, metadata=dates)
+    with whole_bytes(path, RecordingError) as file:
+        file.write(picture.getvalue())
 
 
 def _draw(axes: Axes, layer: Layer) -> None:
@@ -135,7 +175,7 @@ def _lines(words: str, width: int) -> str:
     return textwrap.fill(raised(words), width)
 
 
-def _inline(text: str, label: str) -> str:
+def _inline(text: str, label: str, place: str) -> str:
     """The element alone, as wide as its place, without what nothing refers to."""
     box = re.search(r'viewBox="[^"]*"', text)[0]  # type: ignore[index]
     body = text[text.index(">", text.index("<svg")) + 1 :].strip()
@@ -143,8 +183,8 @@ def _inline(text: str, label: str) -> str:
     body = re.sub(r'<g id="[^"]*"', "<g", re.sub(r">\s+<", "><", body))
     body = re.sub(r"<[^>]+>", lambda tag: _short(tag[0]), body)
     return (
-        f'<svg class="drawing" role="img" aria-label="{label}" {box} xmlns="http://www.w3.org/2000/svg" '
-        f'xmlns:xlink="http://www.w3.org/1999/xlink">{body}'
+        f'<svg class="drawing" role="img" aria-label="{label}" {box} data-axes="{place}" '
+        f'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink">{body}'
     )
 
 

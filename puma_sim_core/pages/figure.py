@@ -61,7 +61,7 @@ class Figure:
     ----------
     x_range, y_range : limits; those of the layers where None.
     y_names : names of the rows y = 0, 1, ... in place of numbers.
-    height : of the drawing [inch].
+    height, width : of the drawing [inch].
     equal : a metre across is as long as a metre up.
     note : a sentence below the figure.
     """
@@ -77,6 +77,7 @@ class Figure:
     equal: bool = False
     y_names: tuple[str, ...] = ()
     height: float = 2.95
+    width: float = 4.6
     note: str = ""
 
 

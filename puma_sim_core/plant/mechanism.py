@@ -1,7 +1,7 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """What identification needs of a machine: parameters with priors, torques, a plant.
 
-A `Mechanism` is an arm of three joints (`arm_mechanism`) or a single joint (`one_joint`). The voltage
+A `Mechanism` is an arm of three joints (`arm_mechanism`) or a part of one (`linkage_mechanism`). The voltage
 that a motion takes is, joint by joint (equations 4.1 and 5.1),
 
     Vhat = k (1 + lag d/dt) [link torque + Ia qdd + H qd] + emf qd,   k = R / (N kt), lag = L / R.
@@ -16,6 +16,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -67,12 +68,31 @@ def complex_slope(function: Callable[[np.ndarray], Any], theta: ArrayLike, n: in
     return np.imag(np.asarray(function(moved))) * 1e30
 
 
+class PositionServo(NamedTuple):
+    """The servo inside a drive on goal positions: u = gain (goal - q) - damping dq/dt within +-limit.
+
+    gain [V/rad]; damping [V.s/rad]; limit [V].
+    """
+
+    gain: float
+    damping: float
+    limit: float
+
+    def voltage(self, time: np.ndarray, goal: np.ndarray, position: np.ndarray) -> np.ndarray:
+        """(n,) mean voltage [V] from each row to the next; its position moves evenly between rows, its goal is held."""
+        step = np.append(np.diff(time), 1.0)
+        travel = np.append(np.diff(position), 0.0)
+        volts = self.gain * (goal - position - 0.5 * travel) - self.damping * travel / step
+        return np.clip(volts, -self.limit, self.limit)
+
+
 class Drive(NamedTuple):
     """Constants of the drives, (J,) each, or their derivatives, (J, p) each.
 
     volts_per_torque : k = R / (N kt) [V per N.m or N]; lag : L / R [s]; emf : ke N [V.s/rad];
-    viscous : H [N.m.s/rad]; motor_inertia : Ia at the joint [kg.m^2]; resistance : R [ohm]. With a
-    current-controlled amplifier lag and emf are 0, R is 1, and the "voltage" is its command.
+    viscous : H [N.m.s/rad]; motor_inertia : Ia at the joint [kg.m^2]; resistance : R [ohm]. With an
+    amplifier that controls current or torque, and without one, lag and emf are 0, R is 1, and the "voltage" is the
+    command.
     """
 
     volts_per_torque: np.ndarray
@@ -83,11 +103,16 @@ class Drive(NamedTuple):
     resistance: np.ndarray
 
 
+#: middle of the nominal friction of the PUMA 560's joints [N.m], of it in volts and amperes, of their ranges [rad], and
+#: greatest inertia in the middle of these [kg m^2]: what plausible ranges of effects are relative to
+_OF_ARM = MappingProxyType({"torque": 10.0, "volts": 0.7, "current": 0.43, "range": 5.0, "inertia": 3.9})
+
+
 @dataclass(frozen=True, eq=False)
 class Mechanism(ABC):
     """A machine as identification sees it; see `load_mechanism`.
 
-    name : such as "puma560"; joints : J, 1 or 3; position_unit, effort_unit : "rad" and "N.m", or "m" and "N".
+    name : such as "puma560"; joints : J, 1 to 3; position_unit, effort_unit : "rad" and "N.m", or "m" and "N".
     ranges : ((low, high), ...) of the joints; gear : (J,) gear ratios N, 1 where there is none.
     torque_scale : (J,) nominal friction scale, the unit of priors of effects.
     parameters : all numbers, with priors; theta holds those that are not known, in this order.
@@ -177,9 +202,25 @@ class Mechanism(ABC):
     def plant(self, theta: ArrayLike | None = None, effects: Iterable[Effect] = ()) -> Plant:
         """The plant to simulate, with the mechanism's own effects and further ones."""
 
-    def possible(self, name: str) -> bool:
-        """Whether an effect of this name has a meaning here; plants refuse others."""
+    def possible(self, name: str, joint: int | None = None) -> bool:
+        """Whether an effect of this name has a meaning on a joint (1-based, None: anywhere); plants refuse others."""
         return True
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """(J,) the channel of a log with each joint's input: "voltage", "setpoint" where a servo in the drive makes the
+        voltage of it, or "" of a joint without a drive, which is passive."""
+        return ("voltage",) * self.joints
+
+    @property
+    def driven(self) -> tuple[bool, ...]:
+        """(J,) whether each joint has a drive."""
+        return tuple(channel != "" for channel in self.inputs)
+
+    @property
+    def servos(self) -> tuple[PositionServo | None, ...]:
+        """(J,) the servo in each drive, None where there is none."""
+        return (None,) * self.joints
 
     @abstractmethod
     def of_plant(self, plant: Plant) -> Mechanism:
@@ -191,6 +232,27 @@ class Mechanism(ABC):
     def unit(self, unit: str) -> str:
         """Unit of an effect's parameter on this mechanism."""
         return unit if self.position_unit == "rad" else linear_unit(unit)
+
+    def effect_scale(self, unit: str, joint: int) -> float | None:
+        """How large effects of this machine are beside those of the PUMA 560, in whose sizes the library's plausible
+        ranges are given, for parameters of a unit at a joint (0-based); None for a unit that no scale is known of.
+
+        Torques go with the nominal friction, angles with the range (a turn at most), masses with the inertia.
+        """
+        low, high = self.ranges[joint]
+        torque = float(self.torque_scale[joint]) / _OF_ARM["torque"]
+        angle = min(high - low, 2.0 * np.pi if self.position_unit == "rad" else np.inf) / _OF_ARM["range"]
+        drive = self.drive(self.start)
+        volts = float(drive.volts_per_torque[joint] * self.torque_scale[joint])
+        if unit in ("A", "1/A"):
+            current = volts / float(drive.resistance[joint]) / _OF_ARM["current"]
+            return current if unit == "A" else 1.0 / current
+        if unit == "kg":
+            middle = np.array([[0.5 * (max(a, -np.pi) + min(b, np.pi)) for a, b in self.ranges]])
+            return float(self.inertia(self.start, middle)[0].max()) / _OF_ARM["inertia"]
+        scales = {"1": 1.0, "s": 1.0, "V": volts / _OF_ARM["volts"], "rad": angle, "rad/s": angle}
+        scales |= {"N.m": torque, "N.m/rad": torque / angle, "N.m.s2/rad2": torque / angle**2}
+        return scales.get(unit)
 
     def total_torque(self, theta: ArrayLike | None, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> np.ndarray:
         """(n, J) all that the motors must give: `torque` + Ia qdd + H qd."""

@@ -7,8 +7,8 @@ YAML with ``format``, ``name`` and ``kind``; a number is ``{value: ..., unit: ..
 ``viscous_friction`` and ``torque_scale`` (three values each) and ``relative_deviation``, the
 width of the prior of each sort of number as a share of it.
 
-``kind: pendulum`` and ``kind: slide``: ``range``, ``body`` and ``drive``; a number may also have
-``deviation`` (in its unit), ``relative_deviation`` (a share of it) or ``known: true``, one of them.
+``kind: pendulum``, ``kind: slide`` and ``kind: linkage`` (see `linkage`): a number of a body, a link or a drive also
+has ``deviation`` (in its unit), ``relative_deviation`` (a share of it) or ``known: true``, one of them.
 """
 
 import os
@@ -18,30 +18,33 @@ from typing import Any
 
 from puma_sim_core.arm.parameters import load_parameters
 from puma_sim_core.checks import Reader
-from puma_sim_core.errors import ParameterError
-from puma_sim_core.files import read_yaml
+from puma_sim_core.errors import ParameterError, one_of
+from puma_sim_core.files import places_of_keys, read_yaml
 from puma_sim_core.plant.arm_mechanism import WIDTHS, ArmMechanism
+from puma_sim_core.plant.linkage_file import check_bodies, read_linkage
+from puma_sim_core.plant.linkage_mechanism import LinkageMechanism
 from puma_sim_core.plant.mechanism import MECHANISM_FORMAT, Mechanism
 from puma_sim_core.plant.model_file import load_model
-from puma_sim_core.plant.one_joint import OneJoint
-from puma_sim_core.plant.one_joint_mechanism import OneJointMechanism
 from puma_sim_core.resources import config_path
 
-KINDS = ("arm", "pendulum", "slide")
+KINDS = ("arm", "linkage", "pendulum", "slide")
 
 
 def read_mechanism(path: str | os.PathLike[str]) -> Mechanism:
     """The mechanism of a file.
 
-    Raises ParameterError: names the file, the key, what is wrong and what was expected.
+    Raises ParameterError: names the file, line, column and key, what is wrong and what was expected.
     """
-    mapping, reader = read_yaml(path), Reader(str(path))
+    mapping = read_yaml(path)
+    reader = Reader(str(path), places_of_keys(Path(path).read_text(encoding="utf-8")))
     found = mapping.get("format") if isinstance(mapping, Mapping) else mapping
     if found != MECHANISM_FORMAT:
         reader.fail("format", f"{found!r}", f"'{MECHANISM_FORMAT}'")
     if reader.choice(mapping.get("kind"), "kind", KINDS) == "arm":
         return _arm(reader, mapping, Path(path).parent)
-    return OneJointMechanism.of(OneJoint.from_mapping(mapping, str(path)))
+    linkage = read_linkage(mapping, reader)
+    check_bodies(linkage, reader)
+    return LinkageMechanism.of(linkage)
 
 
 def _arm(reader: Reader, mapping: Mapping[str, Any], folder: Path) -> ArmMechanism:
@@ -85,7 +88,7 @@ def load_mechanism(
     if str(name_or_path) in names:
         path = config_path("mechanisms", f"{name_or_path}.yaml")
     elif not path.is_file():
-        expected = f"the path of a YAML file or one of {', '.join(names)}"
+        expected = f"the path of a YAML file or {one_of(name_or_path, names)}"
         raise ParameterError(f"no mechanism or file '{name_or_path}'", expected=expected)
     mechanism = read_mechanism(path)
     if parameters is not None:

@@ -7,12 +7,12 @@ from typing import Any
 
 from puma_sim_core.errors import ModelError
 from puma_sim_core.files import read_yaml, write_yaml
-from puma_sim_core.plant.one_joint import OneJointPlant
+from puma_sim_core.plant.linkage_plant import LinkagePlant
 from puma_sim_core.plant.plant import MODEL_FORMAT, Plant
 
 
 def plant_of_mapping(mapping: Mapping[str, Any], where: str | None = None) -> Plant:
-    """The plant of a mapping: an arm, or a mechanism of one joint.
+    """The plant of a mapping: an arm, or a linkage.
 
     Raises
     ------
@@ -20,7 +20,7 @@ def plant_of_mapping(mapping: Mapping[str, Any], where: str | None = None) -> Pl
     ParameterError : a number that is not usable.
     """
     known = isinstance(mapping, Mapping) and mapping.get("format") == MODEL_FORMAT
-    return (OneJointPlant if known and "mechanism" in mapping else Plant).from_mapping(mapping, where)
+    return (LinkagePlant if known and "mechanism" in mapping else Plant).from_mapping(mapping, where)
 
 
 def load_model(path: str | os.PathLike[str]) -> Plant:

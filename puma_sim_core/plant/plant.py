@@ -13,6 +13,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeVar
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from puma_sim_core import __version__
 from puma_sim_core.arm.arm import ArmParameters
 from puma_sim_core.arm.parameters import from_mapping, load_parameters, to_mapping
@@ -23,7 +26,7 @@ from puma_sim_core.dynamics.types import Constants, Drive, Model
 from puma_sim_core.effects import KINDS, VISCOUS, Effect
 from puma_sim_core.effects.base import Stage
 from puma_sim_core.effects.registry import active_stages, check_distinct, fill_arm, pack, vanishes
-from puma_sim_core.errors import ModelError, ParameterError
+from puma_sim_core.errors import ModelError, ParameterError, one_of
 from puma_sim_core.plant.drive_train import DriveTrains
 
 MODEL_FORMAT = "puma-sim model 1"
@@ -58,9 +61,28 @@ class Plant:
             _ = self.constants  # refuses shares of the motors' inertia that no arm can have
 
     @property
+    def axes(self) -> tuple[int, ...]:
+        """Joints of the kernel, 0-based, that move, in the order of its voltages and positions; the others are held."""
+        return 0, 1, 2
+
+    @property
+    def rest(self) -> tuple[float, float, float]:
+        """Positions [rad] at which the joints of the kernel that do not move are held."""
+        return 0.0, 0.0, 0.0
+
+    @property
     def joints(self) -> int:
         """Number of joints that move: those of its voltages and positions."""
-        return 3
+        return len(self.axes)
+
+    def spread(self, values: ArrayLike) -> np.ndarray:
+        """(..., 3) values of the kernel's joints for (..., J) of those that move; 0 for the others."""
+        values = np.asarray(values)
+        if self.joints == 3:
+            return values
+        out = np.zeros((*values.shape[:-1], 3), dtype=values.dtype)
+        out[..., self.axes] = values
+        return out
 
     @property
     def position_unit(self) -> str:
@@ -89,6 +111,10 @@ class Plant:
             if effect.kind.load is not None:
                 arm = effect.kind.load(arm, effect.values)
         return arm
+
+    def lumps_of(self, arm: ArmParameters) -> Lumps:
+        """Constants of the rigid body for the arm with what it carries."""
+        return lumped_constants(arm)
 
     @property
     def gear_ratios(self) -> list[float]:
@@ -122,7 +148,7 @@ class Plant:
         for effect in effects:
             if effect.kind.constants is not None:
                 fill_arm(table, effect.kind, effect.kind.constants(arm, effect.values))
-        body = Lumps(*(float(value) for value in lumped_constants(arm)))
+        body = Lumps(*(float(value) for value in self.lumps_of(arm)))
         if not all(motor.inductance for motor in self.arm.motors):
             active |= Stage.ALGEBRAIC.value
         return Constants(Model(body, Drive(*drive), active), table)
@@ -154,7 +180,7 @@ class Plant:
         known = ("format", "version", "torque_form", "parameters", "effects")
         for key in mapping:
             if key not in known:
-                raise ModelError(f"unknown key '{key}'", where=where, expected=f"one of {', '.join(known)}")
+                raise ModelError(f"unknown key '{key}'", where=where, expected=one_of(key, known))
         if "parameters" not in mapping:
             raise ModelError("'parameters' is missing", where=where, expected="the name of a set, or its numbers")
         source, form = mapping["parameters"], mapping.get("torque_form", "physical")
@@ -201,7 +227,9 @@ def _effect_of(entry: Any, unit_of: Callable[[str], str]) -> Effect:
         raise ParameterError(f"{entry!r}", where="effects", expected=expected)
     name = entry["name"]
     if not isinstance(name, str) or name not in KINDS:
-        raise ParameterError(f"unknown effect '{name}'", where="effects", expected=f"one of {', '.join(KINDS)}")
+        raise ParameterError(
+            f"unknown effect '{name}'", where="effects", expected=one_of(name, KINDS, "`puma-sim list`")
+        )
     units = {p.name: unit_of(p.unit) for p in KINDS[name].parameters}
     values = {key: value for key, value in entry.items() if key not in ("name", "joint")}
     for key, value in values.items():

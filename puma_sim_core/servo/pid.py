@@ -142,6 +142,10 @@ class Pid:
         self.form = form
         self.anti_windup = bool(anti_windup)
         self._sample = self._positional if form == "positional" else self._velocity
+        # of each joint, with the limit beyond which a sum does not grow: once, not at each sample
+        bound = self.limit if self.anti_windup else inf
+        h = self.period
+        self._laws = [(g.gain, h / g.integral_time, g.derivative_time / h, bound) for g in self.gains]
         self.reset()
 
     def reset(self) -> None:
@@ -168,22 +172,13 @@ class Pid:
         return tuple(self._sample(error, now))
 
     def _positional(self, error: Table, now: Table) -> list[float]:
-        before = now if self._before is None else self._before
+        before, total = self._before or now, self._total
         volts = []
-        for j, g in enumerate(self.gains):
-            u, self._total[j] = _law(
-                error[j],
-                now[j],
-                before[j],
-                self._total[j],
-                g.gain,
-                self.period / g.integral_time,
-                g.derivative_time / self.period,
-                self.limit if self.anti_windup else inf,
-            )
-            volts.append(self._limited(u))
+        for j, law in enumerate(self._laws):
+            u, total[j] = _law(error[j], now[j], before[j], total[j], *law)
+            volts.append(u)
         self._before = now
-        return volts
+        return volts if self.anti_windup else [self._limited(u) for u in volts]
 
     def _velocity(self, error: Table, now: Table) -> list[float]:
         if not self._last:

@@ -23,7 +23,7 @@ from puma_sim_core.effects import Effect
 from puma_sim_core.errors import NonFiniteStateError, ParameterError
 from puma_sim_core.jit import BACKEND
 from puma_sim_core.plant.plant import Plant
-from puma_sim_core.simulation.run_inputs import check_step, native, step_counts, table
+from puma_sim_core.simulation.run_inputs import check_step, native, runs_compiled, step_counts, table
 from puma_sim_core.simulation.simulator import SERVO_PERIOD, Simulator
 
 
@@ -188,5 +188,6 @@ class _Jobs:
         rows = self._voltage(run)[:-1]
         if not self._limits(run):
             return rows
-        p = native(self.plants[run].constants.table)
+        constants = self.plants[run].constants
+        p = native(constants.table, runs_compiled(constants.active))
         return np.array([terminal_voltages(a, b, c, p) for a, b, c in rows.tolist()]).reshape(-1, 3)

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from puma_sim_core.dynamics.laws import combined
 from puma_sim_core.dynamics.runs import LATE_WIDTH
 from puma_sim_core.effects.base import Point, Stage
-from puma_sim_core.jit import interpreted
+from puma_sim_core.jit import BACKEND, interpreted
 from puma_sim_core.simulation.run_inputs import native, step_counts
 
 _delay: Callable[..., float] = combined(Point.DELAY, interpreted)
@@ -88,13 +88,14 @@ class SampledDelay:
     With T = M sample + f, the part f of each sample still sees the voltage asked for M + 1 samples
     ago, the rest that of M samples ago.
 
-    delay : T [s]; sample [s]; max_step : greatest step of integration [s].
+    delay : T [s]; sample [s]; max_step : greatest step of integration [s]; compiled : the form of `table`.
     counts, steps : of integration in the two parts of a sample, and their length [s].
     table : for `runs.run_servo`: steps and their length [s] in the first part, in the rest, M + 1,
         and, joint by joint, the M + 1 voltages [V] that are on their way, the oldest first.
     """
 
-    def __init__(self, delay: float, sample: float, max_step: float):
+    def __init__(self, delay: float, sample: float, max_step: float, compiled: bool = BACKEND == "numba"):
+        self.delay, self._compiled = delay, compiled
         whole = int((delay + _SAME) / sample)
         first = max(delay - whole * sample, 0.0)
         first = 0.0 if first <= _SAME else first
@@ -114,7 +115,8 @@ class SampledDelay:
         #: what arrived before the first sample
         self.first = rows[0]
         late = (row[j] for j in range(3) for row in rows)
-        self.table = native([self.counts[0], self.steps[0], self.counts[1], self.steps[1], self.size, *late])
+        head = [self.counts[0], self.steps[0], self.counts[1], self.steps[1], self.size]
+        self.table = native([*head, *late], self._compiled)
 
     def past(self, delay: float) -> Past:
         """What is on its way, as the `Past` of a simulator."""
@@ -127,9 +129,9 @@ class SampledDelay:
         oldest = tuple(held[:, 0].tolist())
         held[:, :-1] = held[:, 1:]
         held[:, -1] = voltage
-        self.table[LATE_WIDTH:] = held.ravel() if hasattr(self.table, "dtype") else held.ravel().tolist()
+        self.table[LATE_WIDTH:] = held.ravel() if self._compiled else held.ravel().tolist()
         return oldest, tuple(held[:, 0].tolist())
 
 
 #: stands for the delay in calls of `runs.run_servo` without one
-NO_DELAY = native([0.0] * LATE_WIDTH)
+NO_DELAY = (0.0,) * LATE_WIDTH

@@ -39,15 +39,15 @@ class Controller(Protocol):
         """Three voltages [V] at time t [s]; setpoint, measurement: three positions [rad]."""
 
 
-def samples_per_period(controller: Controller, period: float) -> int:
-    """Samples of the controller between two setpoints, which come each `period` [s].
+def samples_per_period(controller: Controller, period: float, where: str = "controller") -> int:
+    """Samples of the controller between two setpoints, which come each `period` [s]; where : its name in errors.
 
     Raises ParameterError: the period is not a whole number of the controller's own.
     """
     samples = round(period / controller.period)
     if samples < 1 or abs(samples * controller.period - period) > 1e-9 * period:
         what, expected = f"its period is {controller.period!r} s", f"a whole part of the {period!r} s between setpoints"
-        raise ParameterError(what, where="controller", expected=expected)
+        raise ParameterError(what, where=where, expected=expected)
     return samples
 
 
@@ -77,11 +77,15 @@ class ControlLoop:
         self._limit, self._amplifier = table[3], table[6]
         self._converter_step, self._delay = table[5], int(table[8])
         self._encoder_steps = table[4::SERVO_WIDTH]
-        self._sample = sample
-        self._kernel = kernel
+        self._sample, self._steps = sample, steps
         self._step = steps * (sample / steps)
-        self._held = HeldVoltage(kernel, steps, sample / steps, late)
+        self.use(kernel, late)
         self.reset()
+
+    def use(self, kernel: Kernel, late: SampledDelay | None) -> None:
+        """Go on with another kernel; the controller keeps its memory."""
+        self._kernel = kernel
+        self._held = HeldVoltage(kernel, self._steps, self._sample / self._steps, late)
 
     def reset(self, held_voltage: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
         """Forget the past; held_voltage [V] is what a delay gives before the first sample."""
@@ -150,11 +154,11 @@ class HeldVoltage:
     """
 
     def __init__(self, kernel: Kernel, count: int, step: float, late: SampledDelay | None):
-        n = 1 if late is None else 2
+        n, compiled = 1 if late is None else 2, type(kernel[0].table) is not list
         self._kernel, self._late = kernel, late
         self._counts, self._steps = ([count], [step]) if late is None else (late.counts, late.steps)
-        count_rows, edge_rows, step_rows = (rows_of(np.zeros(n, kind)) for kind in (int, float, float))
-        self._rows = Rows(rows_of(np.zeros((n, 3))), edge_rows, count_rows, step_rows)
+        count_rows, edge_rows, step_rows = (rows_of(np.zeros(n, kind), compiled) for kind in (int, float, float))
+        self._rows = Rows(rows_of(np.zeros((n, 3)), compiled), edge_rows, count_rows, step_rows)
         self._out = np.empty((n + 1, WIDE_ROW if kernel[0].active & WIDE else ROW))
 
     def run(self, state: State, time: float, voltage: Sequence[float]) -> np.ndarray | None:

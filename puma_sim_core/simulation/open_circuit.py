@@ -2,7 +2,7 @@
 """Drives that are switched off for some rows: no current flows, and the joint swings freely."""
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,20 +11,20 @@ from puma_sim_core.dynamics.types import Drive
 from puma_sim_core.errors import ParameterError
 
 
-def enabled(enable: ArrayLike, rows: int, joints: int) -> np.ndarray:
+def enabled(enable: ArrayLike, rows: int, axes: Sequence[int]) -> np.ndarray:
     """(n, 3) whether the drives of the kernel's joints are on.
 
-    enable : (n,) for all joints or (n, J), on where it is not 0; hidden joints are on.
+    enable : (n,) for all joints or (n, J), on where it is not 0; joints that are not among the `axes` are on.
 
     Raises ParameterError: another shape, or values that are not finite.
     """
-    values = np.asarray(enable, dtype=float)
+    values, joints = np.asarray(enable, dtype=float), len(axes)
     if values.shape == (rows,):
         values = np.repeat(values[:, None], joints, axis=1)
     if values.shape != (rows, joints) or not np.isfinite(values).all():
         raise ParameterError(f"enable of shape {values.shape}", expected=f"({rows},) or ({rows}, {joints}), finite")
     on = np.ones((rows, 3), dtype=bool)
-    on[:, 3 - joints :] = values != 0.0
+    on[:, axes] = values != 0.0
     return on
 
 

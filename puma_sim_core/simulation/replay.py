@@ -1,5 +1,5 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
-"""A bag's commands through the core again: the same states to the last bit, or the first that differs."""
+"""A bag's inputs through the core again: the same states to the last bit, or the first that differs."""
 
 import os
 from dataclasses import dataclass
@@ -10,9 +10,18 @@ import numpy as np
 
 from puma_sim_core.errors import BagError, CommandError, ModelError, NonFiniteStateError, ParameterError
 from puma_sim_core.files import parse_yaml
-from puma_sim_core.jit import BACKEND
-from puma_sim_core.recording.bag import BagContents, read_bag
-from puma_sim_core.simulation.session import Session, SessionConfig, SessionState
+from puma_sim_core.jit import kernel_in_use
+from puma_sim_core.plant.plant import effects_of_mapping
+from puma_sim_core.recording.bag import (
+    BagContents,
+    RecordedBrakes,
+    RecordedCommand,
+    RecordedEffects,
+    RecordedPlacement,
+    read_bag,
+)
+from puma_sim_core.simulation.session import Session, SessionState
+from puma_sim_core.simulation.session_config import SessionConfig
 
 _UNITS = {"position": "rad", "velocity": "rad/s", "current": "A", "voltage": "V", "effort": "N.m"}
 
@@ -22,6 +31,7 @@ class Replay:
     """What a replay found.
 
     steps : steps that were compared, state 0 not counted; commands : commands that were given again.
+    missing : (first, last) step of those that the bag lacks, and where the comparison ends; None where none lacks.
     first_difference : a sentence on the first step that differs, None where all bits agree.
     greatest_difference : of the positions over all steps [rad].
     recorded_version, recorded_kernel : what wrote the bag.
@@ -29,6 +39,7 @@ class Replay:
 
     steps: int
     commands: int
+    missing: tuple[int, int] | None
     first_difference: str | None
     greatest_difference: float
     recorded_version: str
@@ -65,21 +76,16 @@ def replay(path: str | os.PathLike[str]) -> Replay:
     bag = read_bag(Path(path))
     config, mapping = session_of(path, bag.config_text)
     session = Session(config)
-    commands = list(bag.commands)
-    states = [session.state]
-    given, problem = 0, None
-    for step in range(len(bag.steps) - 1):
-        while given < len(commands) and commands[given][0] == step:
-            names, values = commands[given][1]
-            try:
-                if names is None:
-                    session.command(values)
-                else:
-                    session.command_joints(names, values)
-            except CommandError as error:
-                what = f"its session refuses a command: {error.what}"
-                raise BagError(what, where=f"{path}: step {step}", expected=error.expected) from None
-            given += 1
+    missing = bag.missing[0] if bag.missing else None
+    last = missing[0] - 1 if missing else len(bag.steps) - 1
+    inputs = iter([*bag.inputs, (-1, None)])
+    at, given = next(inputs)
+    states, commands, problem = [session.state], 0, None
+    for step in range(last):
+        while at == step:
+            commands += isinstance(given, RecordedCommand)
+            _give(session, given, f"{path}: step {step}")
+            at, given = next(inputs)
         try:
             states.append(session.step())
         except NonFiniteStateError as error:
@@ -87,13 +93,33 @@ def replay(path: str | os.PathLike[str]) -> Replay:
             break
     difference, greatest = _compare(bag, states)
     return Replay(
-        steps=len(bag.steps) - 1,
-        commands=given,
+        steps=last,
+        commands=commands,
+        missing=missing,
         first_difference=difference or problem,
         greatest_difference=greatest,
         recorded_version=str(mapping.get("version", "?")),
         recorded_kernel=str(mapping.get("kernel", "?")),
     )
+
+
+def _give(session: Session, given: object, where: str) -> None:
+    """Give one input of a bag to a session again."""
+    try:
+        match given:
+            case RecordedCommand(None, values):
+                session.command(values)
+            case RecordedCommand(names, values) if names is not None:
+                session.command_joints(names, values)
+            case RecordedPlacement(names, position, velocity):
+                session.place(names, position, velocity)
+            case RecordedBrakes(engaged):
+                session.brake(engaged)
+            case RecordedEffects(text):
+                session.use_effects(effects_of_mapping({"effects": parse_yaml(text, where, BagError)}))
+    except (CommandError, ParameterError) as error:
+        what = f"its session refuses an input: {error.what}"
+        raise BagError(what, where=where, expected=error.expected) from None
 
 
 def _compare(bag: BagContents, states: list[SessionState]) -> tuple[str | None, float]:
@@ -111,4 +137,4 @@ def _compare(bag: BagContents, states: list[SessionState]) -> tuple[str | None, 
             where = f"step {r} ({bag.time_ns[r] * 1e-9:.3f} s)"
             first = (r, f"{where}: {name} of joint {j + 1} was {was!r} and is {now!r} {unit}")
     greatest = float(np.abs(np.array([s.position for s in states]) - bag.position[:n]).max())
-    return None if first is None else f"{first[1]}; this process runs the {BACKEND} kernel", greatest
+    return None if first is None else f"{first[1]}; this process runs the {kernel_in_use()} kernel", greatest

@@ -9,25 +9,29 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from puma_sim_core.checks import check_numbers, check_positive, check_shapes
+from puma_sim_core.dynamics.laws import TWO_MASS
 from puma_sim_core.dynamics.types import Rows
 from puma_sim_core.errors import ParameterError
-from puma_sim_core.jit import BACKEND
+from puma_sim_core.jit import BACKEND, is_compiled
 
 #: RK4 is stable up to about 8.4 ms with the electrical time constant L/R of 3 ms
 GREATEST_STEP = 0.008
 
 
-def widened(values: Any, name: str, joints: int) -> tuple[float, ...]:
-    """Numbers of the kernel's three joints for those of a plant's; a single one is its third.
+def widened(values: Any, name: str, axes: Sequence[int], rest: Sequence[float] = (0.0, 0.0, 0.0)) -> tuple[float, ...]:
+    """Numbers of the kernel's three joints for those of a plant's `axes`; the others have those of `rest`.
 
     Raises ParameterError: not as many finite numbers as there are joints.
     """
-    if joints == 3:
+    if len(axes) == 3:
         return check_numbers(values, name)
     given = np.atleast_1d(np.asarray(values, dtype=float))
     if given.shape == (3,) and not given.any():
-        given = given[:1]  # the zeros of a default
-    return 0.0, 0.0, *check_numbers(given, name, 1)
+        given = given[: len(axes)]  # the zeros of a default
+    out = list(rest)
+    for axis, value in zip(axes, check_numbers(given, name, len(axes)), strict=True):
+        out[axis] = value
+    return tuple(out)
 
 
 def check_step(step: float, where: str = "step") -> float:
@@ -48,26 +52,33 @@ def step_counts(duration: np.ndarray, max_step: float) -> np.ndarray:
     return np.maximum(1, np.ceil(duration / max_step * (1.0 - 1e-6))).astype(np.int64)
 
 
-def native(numbers: Sequence[float]) -> Any:
+def runs_compiled(active: int) -> bool:
+    """Whether runs of a plant with these stages that begin now are compiled."""
+    return is_compiled("trains" if active & TWO_MASS else "arm")
+
+
+def native(numbers: Sequence[float], compiled: bool = BACKEND == "numba") -> Any:
     """Flat numbers as the kernel reads them fastest: an array when compiled, else a list."""
-    return np.array(numbers, dtype=float) if BACKEND == "numba" else [float(n) for n in numbers]
+    return np.array(numbers, dtype=float) if compiled else [float(n) for n in numbers]
 
 
-def rows_of(values: np.ndarray) -> Any:
+def rows_of(values: np.ndarray, compiled: bool = BACKEND == "numba") -> Any:
     """An array for the compiled kernel, nested lists of floats for the interpreted one."""
-    return np.ascontiguousarray(values) if BACKEND == "numba" else values.tolist()
+    return np.ascontiguousarray(values) if compiled else values.tolist()
 
 
-def kernel_rows(voltage: np.ndarray, edges: np.ndarray, max_step: float) -> Rows:
-    """Rows of voltages (n, 3) [V] between edges (n + 1,) [s], in steps of at most max_step [s]."""
-    duration = np.diff(edges)
+def kernel_rows(
+    voltage: np.ndarray, edges: np.ndarray, duration: np.ndarray, max_step: float, compiled: bool = BACKEND == "numba"
+) -> Rows:
+    """Rows of voltages (n, 3) [V] between edges (n + 1,) [s], which are `duration` (n,) [s] apart, in steps of at most
+    max_step [s]."""
     counts = step_counts(duration, max_step)
-    return Rows(rows_of(voltage), rows_of(edges[:-1]), rows_of(counts), rows_of(duration / counts))
+    return Rows(*(rows_of(values, compiled) for values in (voltage, edges[:-1], counts, duration / counts)))
 
 
-def guarded(out: np.ndarray, run: Callable[..., int], *arguments: Any) -> int:
+def guarded(out: np.ndarray, compiled: bool, run: Callable[..., int], *arguments: Any) -> int:
     """A run's first row of `out` that is not finite; plain Python tells some of those by an exception."""
-    if BACKEND == "numba":
+    if compiled:
         return run(*arguments)
     out[:] = np.nan
     try:
@@ -87,8 +98,7 @@ def setpoint_table(setpoint: ArrayLike, period: float, voltage_limit: float) -> 
 
 
 def table(time: ArrayLike, values: ArrayLike, name: str, joints: int = 3) -> tuple[np.ndarray, np.ndarray]:
-    """(n,) times [s] and (n, 3) values as arrays, or a ParameterError on what they lack; of one
-    joint, (n, 1) values go to the last column."""
+    """(n,) times [s] and (n, J) values as arrays, or a ParameterError on what they lack."""
     time, values = np.ascontiguousarray(time, dtype=float), np.ascontiguousarray(values, dtype=float)
     if time.ndim != 1 or len(time) < 1 or values.shape != (len(time), joints):
         what = f"time of shape {time.shape} and {name} of shape {values.shape}"
@@ -97,6 +107,4 @@ def table(time: ArrayLike, values: ArrayLike, name: str, joints: int = 3) -> tup
         raise ParameterError(f"time or {name} has values that are not finite", expected="finite numbers")
     if (np.diff(time) <= 0.0).any():
         raise ParameterError("times that do not increase", expected="increasing times")
-    if joints < 3:
-        values = np.ascontiguousarray(np.pad(values, ((0, 0), (3 - joints, 0))))
     return time, values

@@ -8,13 +8,12 @@ are positions, velocities, currents and, on demand, accelerations, sampled synch
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from math import inf
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from puma_sim_core.checks import check_choice, check_numbers, check_positive, check_whole, is_number
+from puma_sim_core.checks import check_choice, check_numbers, check_positive, check_whole
 from puma_sim_core.dynamics.laws import AT_REST, DELAYED, LOCKED, SENSED, TWO_MASS
 from puma_sim_core.dynamics.runs import (
     ROW,
@@ -32,14 +31,17 @@ from puma_sim_core.errors import LimitError, NonFiniteStateError, ParameterError
 from puma_sim_core.plant.plant import Plant
 from puma_sim_core.recording.recording import Recording
 from puma_sim_core.servo.servo import ServoConfig
+from puma_sim_core.simulation.conditions import Constraint, Limits
 from puma_sim_core.simulation.delay import NO_DELAY, Past, SampledDelay, delay_of
 from puma_sim_core.simulation.feedback import Controller, ControlLoop, samples_per_period
 from puma_sim_core.simulation.open_circuit import enabled, opened, stretches
 from puma_sim_core.simulation.run_inputs import (
     check_step,
     guarded,
+    kernel_rows,
     native,
     rows_of,
+    runs_compiled,
     setpoint_table,
     step_counts,
     table,
@@ -49,82 +51,6 @@ from puma_sim_core.simulation.run_inputs import (
 #: one servo period [s], the natural step of integration (section 7.6)
 SERVO_PERIOD = 0.028 / 30.0
 _NOTHING = (0.0, 0.0, 0.0)
-
-CONSTRAINTS = ("free", "hold", "velocity", "acceleration")
-
-
-@dataclass(frozen=True)
-class Constraint:
-    """How a joint moves (section 6.1, a to d).
-
-    kind : "free", "hold" (constant position), "velocity" (constant velocity) or "acceleration" (constant acceleration).
-        value : the velocity [rad/s], None for the initial one, or the acceleration [rad/s^2].
-
-    A joint that is not free has its row and column taken out of the equations; what it exerts on the others by its
-    motion stays. (Section 6.2 overwrites its state after a free step, which leaves the others with a wrong inertia.)
-
-    Raises ParameterError: unknown kind, or a value where none belongs or one is missing.
-    """
-
-    kind: str = "free"
-    value: float | None = None
-
-    def __post_init__(self) -> None:
-        check_choice(self.kind, "constraint", CONSTRAINTS)
-        expected = None
-        if self.value is None:
-            expected = "acceleration:RAD_PER_S2" if self.kind == "acceleration" else None
-        elif self.kind in ("free", "hold"):
-            expected = "no value"
-        elif not is_number(self.value):
-            expected = "a finite number"
-        else:
-            # a whole number here would be compiled as another kernel
-            object.__setattr__(self, "value", float(self.value))
-        if expected:
-            what = "no value" if self.value is None else f"value {self.value}"
-            raise ParameterError(what, where=f"constraint '{self.kind}'", expected=expected)
-
-    @classmethod
-    def parse(cls, text: str) -> Constraint:
-        """From ``free``, ``hold``, ``velocity``, ``velocity:0.5`` or ``acceleration:1``."""
-        kind, colon, value = text.partition(":")
-        try:
-            number = float(value) if colon else None
-        except ValueError:
-            raise ParameterError(f"value '{value}'", where=f"constraint '{kind}'", expected="a number") from None
-        return cls(kind, number)
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Ranges and greatest magnitudes that a run is checked against, at its samples.
-
-    position ((low, high) x 3) [rad], velocity (3) [rad/s], acceleration (3) [rad/s^2]; None
-    leaves a quantity unchecked; unit: "m" in place of "rad" for a slide. Limits stop nothing: a
-    stop that acts is an effect.
-    """
-
-    position: tuple[tuple[float, float], ...] | None = None
-    velocity: tuple[float, ...] | None = None
-    acceleration: tuple[float, ...] | None = None
-    unit: str = "rad"
-
-    def first_exceeded(self, recording: Recording) -> list[str]:
-        """One sentence for each joint and quantity that leaves its limits: where and by what."""
-        found = []
-        for name, per in (("position", ""), ("velocity", "/s"), ("acceleration", "/s^2")):
-            limits, values = getattr(self, name), getattr(recording, name)
-            if limits is None or values is None:
-                continue
-            for j, limit in enumerate(limits):
-                low, high = limit if name == "position" else (-limit, limit)
-                outside = np.flatnonzero((values[:, j] < low) | (values[:, j] > high))
-                if outside.size:
-                    r = int(outside[0])
-                    value, at = f"{values[r, j]:.7g} {self.unit}{per}", f"{recording.time[r]:.6g} s"
-                    found.append(f"joint {j + 1}: {name} {value} at {at} is outside {low:.4g} to {high:.4g}")
-        return found
 
 
 class Simulator:
@@ -140,11 +66,11 @@ class Simulator:
     on_limit : "report" gathers sentences in `exceeded`, "error" raises LimitError after a run.
 
     The state is taken by `reset` and moves on with each `step` and `run`: ``state``, the tuple (q1, q2, q3, qd1, qd2,
-    qd3, i1, i2, i3) of the kernel's joints (a single joint is its third); ``measured`` positions [rad]; ``bristles``,
-    their deflections [rad]; ``further``, those of other effects with a memory; ``links``, their positions [rad] and
+    qd3, i1, i2, i3) of the kernel's joints (`Plant.axes` move); ``measured`` positions [rad]; ``bristles``, their
+    deflections [rad]; ``further``, those of other effects with a memory; ``links``, their positions [rad] and
     velocities [rad/s]; ``past``, the voltages that a delay of the input still holds back; ``time`` [s], at which
     effects that change with time are taken. ``link_motion`` has the links at the rows of the last run, (n, 6), where
-    they do not follow their motors, else None. A triple below is a single number for a plant of one joint.
+    they do not follow their motors, else None. A triple below has a number for each joint of the plant.
 
     Raises ParameterError: a step above 8 ms, constraints of another length.
     """
@@ -163,7 +89,8 @@ class Simulator:
             raise ParameterError(f"constraints {constraints!r}", expected="one Constraint a joint")
         check_choice(on_limit, "on_limit", ("report", "error"))
         self.plant = plant
-        self.constraints = (Constraint("hold"),) * (3 - plant.joints) + tuple(constraints)
+        given = dict(zip(plant.axes, constraints))
+        self.constraints = tuple(given.get(axis, Constraint("hold")) for axis in range(3))
         self.max_step = check_step(max_step, "max_step")
         self.limits = limits or Limits()
         self.on_limit = on_limit
@@ -172,8 +99,9 @@ class Simulator:
         constants, active = plant.constants, plant.constants.active
         if any(c.kind != "free" for c in self.constraints):
             active |= LOCKED
+        self._compiled = runs_compiled(active)
         #: constants of the plant as a run takes them, and the rows that constraints take out
-        self.constants = Constants(constants.model._replace(active=active), native(constants.table))
+        self.constants = Constants(constants.model._replace(active=active), native(constants.table, self._compiled))
         self.lock = (
             *(0.0 if c.kind == "free" else 1.0 for c in self.constraints),
             *(c.value if c.kind == "acceleration" and c.value else 0.0 for c in self.constraints),
@@ -195,9 +123,9 @@ class Simulator:
 
         Raises ParameterError: not three finite numbers, or a velocity that contradicts a constraint.
         """
-        joints = self.plant.joints
-        q, i = widened(position, "position", joints), widened(current, "current", joints)
-        given = None if velocity is None else widened(velocity, "velocity", joints)
+        axes = self.plant.axes
+        q, i = widened(position, "position", axes, self.plant.rest), widened(current, "current", axes)
+        given = None if velocity is None else widened(velocity, "velocity", axes)
         start = list(given or _NOTHING)
         for j, c in enumerate(self.constraints):
             fixed = 0.0 if c.kind == "hold" else c.value if c.kind == "velocity" else None
@@ -216,12 +144,10 @@ class Simulator:
     def remember(self, age: ArrayLike, voltage: ArrayLike) -> None:
         """Tell a delay of the input what was asked for before now.
 
-        age (k,) : falling [s]; voltage (k, 3) [V] or (k, 1): asked for from age[i] ago on, the
+        age (k,) : falling [s]; voltage (k, J) [V]: asked for from age[i] ago on, the
         first one since ever. Without a delay it does nothing.
         """
-        voltage = np.asarray(voltage, dtype=float)
-        padding = np.zeros((len(voltage), 3 - voltage.shape[1]))
-        self.past = self._past(age, np.hstack([padding, voltage]))
+        self.past = self._past(age, self.plant.spread(np.asarray(voltage, dtype=float)))
 
     def _past(self, age: ArrayLike = (), voltage: ArrayLike = ()) -> Past:
         return Past(delay_of(self.constants.active, self.constants.table), age, voltage)
@@ -236,7 +162,7 @@ class Simulator:
         """
         if not 0.0 < duration < inf:
             check_positive(duration, "duration", "s")
-        volts = widened(voltage, "voltage", self.plant.joints)
+        volts = widened(voltage, "voltage", self.plant.axes)
         self._advance(np.array([volts]), np.array([self.time, self.time + duration]), np.array([float(duration)]))
         self.time += duration
         return self.state
@@ -259,7 +185,9 @@ class Simulator:
         LimitError : a limit was exceeded and on_limit is "error".
         """
         edges, volts = table(time, voltage, "voltage", self.plant.joints)
+        volts = self.plant.spread(volts)
         past = self.past
+        self._settle_form()
         try:
             if enable is None:
                 out = self._advance(volts[:-1], edges, np.diff(edges))
@@ -295,14 +223,16 @@ class Simulator:
         rows = self._setpoints(setpoint, period, voltage_limit)
         held_voltage = check_numbers(held_voltage, "held_voltage")
         h = period / check_whole(samples, "samples", 1)
-        servo_table = native(servo.table(h, voltage_limit, self.plant.gear_ratios))
+        compiled = self._compiled
+        servo_table = native(servo.table(h, voltage_limit, self.plant.gear_ratios), compiled)
         start = servo_memory(tuple(rows[0].tolist()), self._seen(), servo_table)
-        memory = native([*start, *servo.held_back(held_voltage)])
+        memory = native([*start, *servo.held_back(held_voltage)], compiled)
 
         def run(steps: int, late: SampledDelay | None, out: np.ndarray, volts: np.ndarray) -> int:
-            delay = NO_DELAY if late is None else late.table
+            delay = native(NO_DELAY, compiled) if late is None else late.table
             loop = ServoLoop(self.time, samples, steps, h / steps, servo_table, memory, delay)
-            return guarded(out, run_servo, self.whole, rows_of(rows), loop, self.constants, self.lock, out, volts)
+            targets, given = rows_of(rows, compiled), (self.constants, self.lock, out, volts)
+            return guarded(out, compiled, run_servo, self.whole, targets, loop, *given)
 
         return self._closed_loop(run, rows, h, samples, held_voltage, acceleration)
 
@@ -335,11 +265,20 @@ class Simulator:
 
         return self._closed_loop(run, rows, h, samples, _NOTHING, acceleration)
 
+    def _settle_form(self) -> None:
+        """Go over to the compiled kernel where it has become ready since the last run."""
+        if runs_compiled(self.constants.active) and not self._compiled:
+            self._compiled = True
+            self.constants = self.constants._replace(table=native(self.constants.table))
+
     def _setpoints(self, setpoint: ArrayLike, period: float, voltage_limit: float) -> np.ndarray:
-        """Checked setpoints (n, 3) [rad] of a closed loop."""
+        """Checked setpoints (n, 3) [rad] of a closed loop, which begins."""
+        self._settle_form()
         if self.plant.joints != 3:
             expected = "an arm of three: servo and controllers have its gains"
-            raise ParameterError(f"a plant of {self.plant.joints} joint", where="closed loop", expected=expected)
+            raise ParameterError(
+                f"a plant of {self.plant.joints} of the arm's joints", where="closed loop", expected=expected
+            )
         return setpoint_table(setpoint, period, voltage_limit)
 
     @property
@@ -364,7 +303,7 @@ class Simulator:
         steps, rows = int(step_counts(np.array([h]), self.max_step)[0]), len(setpoint) * samples + 1
         late, past = None, self.past
         if self.constants.active & DELAYED:
-            late = SampledDelay(past.delay, h, self.max_step)
+            late = SampledDelay(past.delay, h, self.max_step, self._compiled)
             late.hold(held_voltage, past)
         out, volts = np.empty((rows, self._row)), np.zeros((rows, 3))
         self._finish(run(steps, late, out, volts), out)
@@ -384,11 +323,10 @@ class Simulator:
         if self.constants.active & DELAYED:
             (time, voltage, rows), past = self.past.arriving(time, voltage)
             duration = np.diff(time)
-        counts = step_counts(duration, self.max_step)
-        out = np.empty((len(duration) + 1, self._row))
+        compiled, out = self._compiled, np.empty((len(duration) + 1, self._row))
         try:
-            held = Rows(rows_of(voltage), rows_of(time[:-1]), rows_of(counts), rows_of(duration / counts))
-            self._finish(guarded(out, run_voltages, self.whole, held, self.constants, self.lock, out), out)
+            held = kernel_rows(voltage, time, duration, self.max_step, compiled)
+            self._finish(guarded(out, compiled, run_voltages, self.whole, held, self.constants, self.lock, out), out)
         except NonFiniteStateError as error:
             if rows is None:
                 raise
@@ -400,7 +338,7 @@ class Simulator:
 
     def _switched(self, voltage: np.ndarray, time: np.ndarray, enable: ArrayLike) -> np.ndarray:
         """`_advance` with drives that are off in some rows; voltage has a row more, unused."""
-        on = enabled(enable, len(voltage), self.plant.joints)[:-1]
+        on = enabled(enable, len(voltage), self.plant.axes)[:-1]
         if not len(on):
             return self._advance(voltage[:-1], time, np.diff(time))
         voltage = np.where(on, voltage[:-1], 0.0)
@@ -449,17 +387,18 @@ class Simulator:
                 # a row longer, so that something arrives at the last one too
                 pieces, _ = past.arriving(np.append(time, time[-1] + 1.0), voltage)
                 acting = pieces.voltage[pieces.row[:-1]]
-            accelerations(out, Rows(rows_of(acting), rows_of(time), None, None), self.constants, self.lock, result)
+            rows = Rows(rows_of(acting, self._compiled), rows_of(time, self._compiled), None, None)
+            accelerations(out, rows, self.constants, self.lock, result)
         self.link_motion = out[:, ROW + 3 : ROW + 9] if self.constants.active & TWO_MASS else None
-        hidden, seen = 3 - self.plant.joints, ROW if self.constants.active & SENSED else 0
+        axes, seen = np.array(self.plant.axes), ROW if self.constants.active & SENSED else 0
         recording = Recording(
             time=time,
-            voltage=voltage[:, hidden:],
-            position=out[:, seen + hidden : seen + 3],
-            velocity=out[:, 3 + hidden : 6],
-            current=out[:, 6 + hidden : 9],
+            voltage=voltage[:, axes],
+            position=out[:, seen + axes],
+            velocity=out[:, 3 + axes],
+            current=out[:, 6 + axes],
             setpoint=setpoint,
-            acceleration=None if result is None else result[:, hidden:],
+            acceleration=None if result is None else result[:, axes],
         )
         self.exceeded = self.limits.first_exceeded(recording)
         if self.exceeded and self.on_limit == "error":

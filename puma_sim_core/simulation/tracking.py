@@ -163,16 +163,17 @@ def innovations(
     state stopped being finite.
     """
     time = np.ascontiguousarray(time, dtype=float)
-    J, n = simulator.plant.joints, len(time)
+    plant, n = simulator.plant, len(time)
+    J, axes = plant.joints, np.array(plant.axes)
     voltage, measured, gain = (np.asarray(a, dtype=float) for a in (voltage, measured, gain))
     if voltage.shape != (n, J) or measured.shape != (n, J) or gain.shape != (J, 3) or n < 2:
         what = f"time {time.shape}, voltage {voltage.shape}, measured {measured.shape}, gain {gain.shape}"
         raise ParameterError(what, where="innovations", expected=f"(n,), (n, {J}), (n, {J}), ({J}, 3)")
-    hidden = 3 - J
-    volts = np.ascontiguousarray(np.pad(voltage[:-1], ((0, 0), (hidden, 0))))
+    volts = np.ascontiguousarray(plant.spread(voltage[:-1]))
     out = np.zeros((n - 1, 9))
-    out[:, hidden:3] = measured[1:]
-    on = np.ones((n - 1, 3)) if enable is None else enabled(enable, n, J)[:-1].astype(float)
+    out[:, :3] = np.array(plant.rest)
+    out[:, axes] = measured[1:]
+    on = np.ones((n - 1, 3)) if enable is None else enabled(enable, n, plant.axes)[:-1].astype(float)
     target, edges = np.arange(n - 1), time
     active = simulator.constants.active
     if active & DELAYED:
@@ -184,11 +185,11 @@ def innovations(
     corrected = np.ones(n - 1, dtype=bool) if corrected is None else np.asarray(corrected, bool)
     if corrected.shape != (n - 1,):
         raise ParameterError(f"corrected {corrected.shape}", where="innovations", expected=f"({n - 1},)")
-    gains = native([0.0] * (3 * hidden) + gain.ravel().tolist())
+    gains = native(plant.spread(gain.T).T.ravel().tolist())
     run = _tracked_trains if active & TWO_MASS else _tracked
-    rows = kernel_rows(volts, edges, simulator.max_step)
+    rows = kernel_rows(volts, edges, np.diff(edges), simulator.max_step)
     track = Track(rows_of(on), rows_of(target), rows_of(corrected), gains)
     bad = run(simulator.whole, rows, track, simulator.constants, simulator.lock, out)
     if bad >= 0 or not np.isfinite(out).all():
         raise NonFiniteStateError(int(bad))
-    return Tracked(*(out[:, first + hidden : first + 3] for first in (0, 3, 6)))
+    return Tracked(*(out[:, first + axes] for first in (0, 3, 6)))

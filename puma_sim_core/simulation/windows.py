@@ -25,7 +25,7 @@ from puma_sim_core.jit import interpreted
 from puma_sim_core.plant.plant import Plant
 from puma_sim_core.recording.recording import GROUPS, Recording
 from puma_sim_core.simulation.delay import delay_of
-from puma_sim_core.simulation.run_inputs import native
+from puma_sim_core.simulation.run_inputs import native, runs_compiled
 from puma_sim_core.simulation.simulator import Simulator
 
 _bound: Callable[..., float] = combined(Point.CURRENT_BOUND, interpreted)
@@ -99,8 +99,9 @@ def driven_current(
     delay of the input on its time, a current limit on the result. A motor without inductance has the current of the
     row's own voltage. voltage (n, J) [V], velocity (J) [rad/s], acceleration (J) [rad/s^2].
     """
-    hidden = 3 - plant.joints
-    motors, table = plant.arm.motors[hidden:], native(plant.constants.table)
+    axes = list(plant.axes)
+    motors = [plant.arm.motors[axis] for axis in axes]
+    table = native(plant.constants.table, runs_compiled(plant.constants.active))
     longest = max(m.inductance / m.resistance for m in motors)
     # what arrives now was asked for then
     asked = time[row] - delay_of(plant.constants.active, table)
@@ -112,8 +113,7 @@ def driven_current(
         after = max(int(np.searchsorted(time, asked, side="left")), 1)
     held = voltage[first:after]
     if any(effect.kind.acts == VOLTAGE for effect in plant.effects):
-        rows = np.pad(held, ((0, 0), (hidden, 0))).tolist()
-        held = np.array([terminal_voltages(a, b, c, table)[hidden:] for a, b, c in rows])
+        held = np.array([terminal_voltages(a, b, c, table) for a, b, c in plant.spread(held).tolist()])[:, axes]
     edges = asked - time[first : after + 1]
     edges[-1] = 0.0
     current = np.empty(len(motors))
@@ -126,7 +126,7 @@ def driven_current(
             weight[0] = 1.0 - weight[1:].sum()
             mean = weight @ held[:, j]
         current[j] = (mean - emf) / motor.resistance
-    limit = np.array([_bound(j, table) for j in range(hidden, 3)])
+    limit = np.array([_bound(j, table) for j in axes])
     return np.clip(current, -limit, limit)
 
 
@@ -152,10 +152,10 @@ def true_start(
     """True position [rad] and velocity [rad/s] (J each) behind a measured motion (J each)."""
     if not plant.constants.active & SENSED:
         return position, velocity
-    hidden = 3 - plant.joints
-    q, qd, qdd = (np.pad(values, (hidden, 0)) for values in (position, velocity, acceleration))
+    axes = list(plant.axes)
+    q, qd, qdd = (plant.spread(values) for values in (position, velocity, acceleration))
     position, velocity = true_motion(q, qd, qdd, plant.constants.table)
-    return position[hidden:], velocity[hidden:]
+    return np.asarray(position)[axes], np.asarray(velocity)[axes]
 
 
 def run_windows(
@@ -213,16 +213,17 @@ def run_windows(
 
 def _restart(simulator: Simulator, log: Recording, row: int) -> None:
     """Start the simulator from the measured state at a row; bristles and other memories go on."""
-    plant, hidden = simulator.plant, 3 - simulator.plant.joints
+    plant = simulator.plant
     measured: Any = log.position
     position, velocity, current = measured_state(plant, log, row)
-    own = [c.kind == "hold" or (c.kind == "velocity" and c.value is not None) for c in simulator.constraints[hidden:]]
+    constraints = [simulator.constraints[axis] for axis in plant.axes]
+    own = [c.kind == "hold" or (c.kind == "velocity" and c.value is not None) for c in constraints]
     bristles, further = simulator.bristles, simulator.further
     simulator.reset(position, np.where(own, 0.0, velocity), current, time=log.time[row])
     simulator.bristles, simulator.further = bristles, further
     if plant.constants.active & SENSED:
         # behind a lag it is not what a sensor at rest there would give
-        simulator.measured = tuple(np.pad(measured[row], (hidden, 0)).tolist())
+        simulator.measured = tuple(plant.spread(measured[row]).tolist())
     delay, volts = simulator.past.delay, log.voltage
     if delay > 0.0 and row > 0 and volts is not None:
         first = max(0, int(np.searchsorted(log.time, log.time[row] - delay, side="right")) - 1)

@@ -20,8 +20,9 @@ from puma_sim_core.dynamics.runs import is_finite, run_voltages
 from puma_sim_core.dynamics.types import FREE, NO_SLIP, STILL, Constants, Rows, State
 from puma_sim_core.jit import BACKEND, compiled, inlined
 from puma_sim_core.plant.plant import Plant
+from puma_sim_core.simulation.conditions import Constraint
 from puma_sim_core.simulation.run_inputs import native
-from puma_sim_core.simulation.simulator import SERVO_PERIOD, Constraint, Simulator
+from puma_sim_core.simulation.simulator import SERVO_PERIOD, Simulator
 from puma_sim_core.thesis.misprints.chapter_6 import growth, jacobian, locked_inertias, stability_limit
 from puma_sim_core.thesis.misprints.reference import nominal
 from puma_sim_core.thesis.motions import POSES, UPRIGHT, angles, rk4_step

@@ -95,7 +95,7 @@ def follow(plant: Plant, controller: Controller, move: Move, duration: float) ->
 def step_numbers(run: Recording, path: np.ndarray) -> dict[str, np.ndarray]:
     """Overshoot [%], rise and settling time [s] of each joint."""
     found = [step_quality(run.time, q, start, start + STEP, at=STEP_AT) for q, start in zip(run.position.T, START)]
-    overshoot, rise, settling = np.transpose(found)
+    overshoot, rise, settling = np.transpose([(q.overshoot, q.rise_time, q.settling_time) for q in found])
     return {"overshoot_percent": 100.0 * overshoot, "rise_s": rise, "settling_s": settling}
 
 

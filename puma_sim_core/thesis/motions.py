@@ -17,8 +17,9 @@ from puma_sim_core.plant.plant import Plant
 from puma_sim_core.recording.recording import Recording
 from puma_sim_core.servo.pid import PidGains
 from puma_sim_core.servo.servo import ServoConfig
+from puma_sim_core.simulation.conditions import Constraint
 from puma_sim_core.simulation.feedback import Controller
-from puma_sim_core.simulation.simulator import SERVO_PERIOD, Constraint, Simulator
+from puma_sim_core.simulation.simulator import SERVO_PERIOD, Simulator
 from puma_sim_core.tuning.ziegler_nichols import Loop, Ultimate, settings, ultimate_by_eigenvalues
 
 HELD, FREE = Constraint("hold"), Constraint()

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from puma_sim_core import thesis
-from puma_sim_core.errors import ParameterError
+from puma_sim_core.errors import ParameterError, one_of
 from puma_sim_core.thesis.result import Result
 
 DEFAULT_SEED = 1
@@ -90,7 +90,9 @@ def find(number: str) -> list[Experiment]:
         return [everything[number]]
     within = [each for each in everything.values() if each.number.startswith(f"{number}.") or each.chapter == number]
     if not within:
-        raise ParameterError(f"no experiment {number!r}", where="thesis", expected=f"one of {', '.join(everything)}")
+        raise ParameterError(
+            f"no experiment {number!r}", where="thesis", expected=one_of(number, everything, "`puma-sim thesis`")
+        )
     return within
 
 

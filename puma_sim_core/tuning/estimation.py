@@ -24,7 +24,8 @@ from puma_sim_core.arm.rigid_body import inertia
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.plant.plant import Plant
 from puma_sim_core.servo.servo import ServoConfig
-from puma_sim_core.simulation.simulator import Constraint, Simulator
+from puma_sim_core.simulation.conditions import Constraint
+from puma_sim_core.simulation.simulator import Simulator
 
 #: a direction of the parameters that the records tell a million times less of than another
 GREATEST_CONDITION = 1e6

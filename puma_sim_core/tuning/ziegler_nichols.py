@@ -31,7 +31,8 @@ from puma_sim_core.errors import LimitError, NonFiniteStateError, ParameterError
 from puma_sim_core.plant.plant import Plant
 from puma_sim_core.servo.pid import PidGains
 from puma_sim_core.servo.servo import ServoConfig
-from puma_sim_core.simulation.simulator import SERVO_PERIOD, Constraint, Simulator
+from puma_sim_core.simulation.conditions import Constraint
+from puma_sim_core.simulation.simulator import SERVO_PERIOD, Simulator
 
 #: default of the greatest gain that is looked at [V/rad]
 GREATEST_GAIN = 1e6

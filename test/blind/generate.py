@@ -24,7 +24,7 @@ if __name__ == "__main__" and not __package__:
     __package__ = "blind"
 
 from blind import arm_parameters as arm
-from blind import faults, motions, outside, records
+from blind import cases, faults, motions, outside, records
 from blind.drives import Controller, Run, Sampling, simulate
 from blind.effects import EFFECTS, NO_STOP, Plant, derived, scaled
 from blind.size import Sizes, measure
@@ -39,7 +39,7 @@ class Rig:
 
     def __init__(self, recipe: records.Recipe, motion_seed: int, parameters: arm.Parameters):
         self.recipe, self.parameters = recipe, parameters
-        rng = np.random.default_rng([motion_seed, 3])
+        rng = recipe.random(3, motion_seed)
         self.sampling = Sampling(recipe.period)
         self.samples = round(recipe.seconds / recipe.period)
         named = [joint for _, joint in recipe.effects] + ([recipe.outside[1]] if recipe.outside else [])
@@ -50,7 +50,7 @@ class Rig:
         rows = np.arange(self.samples * self.sampling.rows + 1) * self.sampling.row
         fine = motions.reference(self.motion, rng, rows, joint)
         self.controller = self._controller(rng, fine)
-        noise_rng = np.random.default_rng([motion_seed, 4])
+        noise_rng = recipe.random(4, motion_seed)
         self.volts = round(0.05 * noise_rng.uniform(0.8, 1.25), 4)
         self.torque = round(0.15 * noise_rng.uniform(0.8, 1.25), 4)
         self.correlation = round(float(10 ** noise_rng.uniform(0.7, 1.7)), 2) if recipe.coloured else 0.0
@@ -66,6 +66,10 @@ class Rig:
         kp = np.round(crossover * emf, 2)
         ki = np.round(kp / rng.uniform(0.5, 2.0, 3), 2) * (rng.random() < 0.7)
         kd = np.round(kp * rng.uniform(0.0, 0.01, 3), 3) * (rng.random() < 0.4)
+        if self.recipe.case == "delay_oscillating":
+            draws = self.recipe.random(5)
+            delay = cases.CASES[self.recipe.case].draw["input_delay"](draws, None, None)["time"]
+            joint, kp[joint] = cases.oscillating_gain(draws, delay, self.sampling.period)
         rate = np.gradient(fine, step, axis=0)
         forward = rng.random() < 0.5
         band = next((EFFECTS[name].band for name, _ in self.recipe.effects if EFFECTS[name].band), None)
@@ -130,7 +134,7 @@ class Rig:
 def make(recipe: records.Recipe, folder, check: bool = False) -> tuple[Path, dict]:
     """Writes the record of a recipe (and its check record) into `folder`: (path, answer)."""
     started = time.perf_counter()
-    parameters = arm.wrong(np.random.default_rng([recipe.seed, 2]))
+    parameters = arm.wrong(recipe.random(2))
     for attempt in range(6):
         rig = Rig(recipe, recipe.seed + 10_000_000 * attempt, parameters)
         placed, outsider = _scaled_effects(recipe, rig)
@@ -167,10 +171,15 @@ def _plant(placed, outsider) -> Plant:
 
 
 def _scaled_effects(recipe, rig):
-    """Effects as (name, joint, parameters, size, distinct, strain), each scaled by itself."""
+    """Effects as (name, joint, parameters, size, distinct, strain), each scaled by itself, or drawn by its case."""
     placed, peaks = [], None
-    rng = np.random.default_rng([recipe.seed, 5])
+    rng = recipe.random(5)
+    draw = cases.CASES[recipe.case].draw if recipe.case else {}
     for (name, joint), target in zip(recipe.effects, recipe.sizes):
+        if name in draw:
+            asked = None if joint is None else _demand(rig, rig.run(_plant(placed, None)))[joint]
+            placed.append((name, joint, *_drawn(rig, name, joint, draw[name](rng, joint, asked))))
+            continue
         if peaks is None:
             peaks = _peaks(rig)
         effect = EFFECTS[name]
@@ -243,19 +252,36 @@ def overall(sizes: Sizes, joint: int | None) -> float:
     return float(np.sqrt((sizes.ratio**2).sum() + sizes.strain**2))
 
 
-def _peaks(rig: Rig) -> list[dict]:
-    run, p, step = rig.run(Plant()), rig.parameters, rig.sampling.row
+def _drawn(rig: Rig, name: str, joint: int | None, parameters: dict):
+    """Parameters with the sizes that they have."""
+    sizes = rig.sizes(rig.run(_plant([(name, joint, parameters)], None)))
+    size = max(overall(sizes, joint), 1e-6)
+    distinct = float(sizes.distinct[joint]) if joint is not None else size
+    return parameters, size, distinct, float(np.hypot(size, sizes.strain))
+
+
+def _demand(rig: Rig, run: Run) -> list[cases.Demand]:
+    """What a run asks of each joint."""
+    p, step = rig.parameters, rig.sampling.row
     q = run.motion
     rate = np.gradient(q, step, axis=0)
-    current = (arm.motor_torque(q, rate, np.gradient(rate, step, axis=0), p) / (p["kt"] * arm.GEAR))[10:-10]
+    per_torque = 1.0 / (p["kt"] * arm.GEAR)
+    current = (arm.motor_torque(q, rate, np.gradient(rate, step, axis=0), p) * per_torque)[10:-10]
+    holding = arm.gravity(q, p) * per_torque
+    columns = (q, run.commanded, current, holding, holding * p["R"])
+    return [cases.Demand(*(column[:, j] for column in columns)) for j in range(3)]
+
+
+def _peaks(rig: Rig) -> list[dict]:
+    """What each joint reaches without effects."""
     return [
         {
-            "low": float(q[:, j].min()),
-            "high": float(q[:, j].max()),
-            "voltage": float(np.abs(run.commanded[:, j]).max()),
-            "current": float(np.abs(current[:, j]).max()),
+            "low": float(asked.position.min()),
+            "high": float(asked.position.max()),
+            "voltage": float(np.abs(asked.voltage).max()),
+            "current": float(np.abs(asked.current).max()),
         }
-        for j in range(3)
+        for asked in _demand(rig, rig.run(Plant()))
     ]
 
 
@@ -316,12 +342,12 @@ def _write(path: Path, recipe, rig: Rig, run: Run, fault: str | None) -> list[di
             log[f"setpoint{j + 1}"] = rig.controller.setpoint[:, j]
     found = []
     if fault:
-        log, found = faults.spoil(fault, log, np.random.default_rng([recipe.seed, 6]))
+        log, found = faults.spoil(fault, log, recipe.random(6))
     digits = {"time": 7, "voltage": 4, "position": 6, "setpoint": 5}
     columns = [[_number(x, digits[name.rstrip("123")]) for x in values] for name, values in log.items()]
     lines = [",".join(log)] + [",".join(row) for row in zip(*columns)]
     if fault:
-        lines, more = faults.spoil_text(fault, lines, np.random.default_rng([recipe.seed, 7]))
+        lines, more = faults.spoil_text(fault, lines, recipe.random(7))
         found = found + more
     path.write_text("\n".join(lines) + "\n", encoding="ascii", newline="\n")
     return found

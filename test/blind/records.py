@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from blind.cases import CASES
 from blind.effects import COMMON, EFFECTS, WHOLE_ARM
 from blind.faults import FAULTS
 from blind.outside import OUTSIDE
@@ -15,6 +16,14 @@ from blind.outside import OUTSIDE
 ONE_ANGLE = {"joint_spring", "voltage_offset"}
 #: servo period [s] of the arm: 28 ms over 30
 SERVO = 0.028 / 30
+#: of the generator; 1 made the records that are committed, and all others with seeds up to 920339. The same seed has
+#: other draws in another version
+VERSION = 2
+
+
+def random(seed: int, stream: int, version: int) -> np.random.Generator:
+    """A stream of numbers of a record; 1: its recipe, 2: parameters, 3: motion, 4: noise, 5: effects, 6, 7: faults."""
+    return np.random.default_rng([seed, stream] if version == 1 else [seed, stream, version])
 
 
 @dataclass(frozen=True)
@@ -23,7 +32,8 @@ class Recipe:
 
     effects : (name, joint 0-based or None) each; sizes : asked for, over the noise floor; outside :
     (kind, joint) or None; fault : kind or None; period [s]; motion, or None: drawn; check : the
-    seed of another motion and noise with the same plant.
+    seed of another motion and noise with the same plant; case : one of `cases`, whose effects are not scaled to a size;
+    version : of the generator.
     """
 
     name: str
@@ -39,23 +49,29 @@ class Recipe:
     dither: bool = True
     coloured: bool = False
     setpoint: bool = True
+    case: str | None = None
+    version: int = VERSION
+
+    def random(self, stream: int, seed: int | None = None) -> np.random.Generator:
+        """As `random`, of this record, or of another seed."""
+        return random(self.seed if seed is None else seed, stream, self.version)
 
 
 #: kinds of record
-KINDS = ("nothing", "common", "effect", "pair", "outside", "fault")
+KINDS = ("nothing", "common", "effect", "case", "pair", "outside", "fault")
 
 
 def plan(kind: str, seed: int, count: int, turn: int = 0) -> list[Recipe]:
     """`count` recipes with seeds from `seed` on.
 
-    kind : one of `KINDS`, or the name of an effect. Effects, outsiders and faults take turns, so
+    kind : one of `KINDS`, or the name of an effect or a case. Effects, cases, outsiders and faults take turns, so
     that each has its share of any count; turn : whose turn it is first.
     """
     return [_recipe(kind, seed + k, turn + k) for k in range(count)]
 
 
 def _recipe(kind: str, seed: int, turn: int) -> Recipe:
-    rng = np.random.default_rng([seed, 1])
+    rng = random(seed, 1, VERSION)
     common = {
         "name": f"record_{seed:06d}",
         "seed": seed,
@@ -71,6 +87,8 @@ def _recipe(kind: str, seed: int, turn: int) -> Recipe:
         names = {"common": COMMON, "effect": tuple(EFFECTS)}.get(kind, (kind,))
         name = names[turn % len(names)]
         return Recipe(**_fit(common, rng, name), effects=(_placed(rng, name),), sizes=(_size(rng),))
+    if kind == "case" or kind in CASES:
+        return _case(common, rng, kind if kind in CASES else tuple(CASES)[turn % len(CASES)])
     if kind == "pair":
         names = tuple(EFFECTS)
         first = names[turn % len(names)]
@@ -96,7 +114,22 @@ def _recipe(kind: str, seed: int, turn: int) -> Recipe:
         return Recipe(**common, outside=(name, int(rng.choice(made.joints))), sizes=(_size(rng, 1.5),))
     if kind == "fault":
         return Recipe(**common, fault=FAULTS[turn % len(FAULTS)])
-    raise ValueError(f"kind of record {kind!r}: expected one of {KINDS} or the name of an effect")
+    raise ValueError(f"kind of record {kind!r}: expected one of {KINDS}, the name of an effect or of a case")
+
+
+def _case(common: dict, rng, name: str) -> Recipe:
+    case = CASES[name]
+    for effect in case.effects:
+        common = _fit(common, rng, effect)
+    if case.motions:
+        common["motion"] = str(rng.choice(case.motions))
+    if case.periods:
+        common["period"] = float(rng.choice(case.periods))
+    # a controller that oscillates, or runs against a limit or a stop, is one with feedback
+    common["feedback"] = True
+    placed = tuple(_placed(rng, effect) for effect in case.effects)
+    sizes = tuple(_size(rng) for _ in case.effects)
+    return Recipe(**common, effects=placed, sizes=sizes, case=name)
 
 
 def committed() -> list[Recipe]:
@@ -146,6 +179,7 @@ def committed() -> list[Recipe]:
                 "period": 5e-3,
                 "seconds": 6.0,
                 "setpoint": False,
+                "version": 1,
                 **each,
             }
         )

@@ -9,13 +9,9 @@ error's text.
 
 from __future__ import annotations
 
-import os
-
-for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[_name] = "1"  # before NumPy: as `make score` does
-
 import hashlib
 import json
+import os
 import resource
 import subprocess
 import sys
@@ -41,7 +37,7 @@ from puma_sim_core.resources import config_path
 from rigs.catalogue import Log, Reference, Rig, Run
 from rigs.logs import as_file, table_of, write_table
 from rigs.measures import measured
-from rigs.variants import VARIANTS, Given
+from rigs.variants import BLAS, VARIANTS, Given
 
 #: of a report, what the table does not need
 _LEFT_OUT = ("detectability", "next_experiment", "ranking", "notes", "logs", "held_out_logs", "feedback_bias")
@@ -134,7 +130,10 @@ def work(job: Job) -> dict[str, Any]:
             if asked is None:
                 return {**outcome, "applies": False}
             logs, held_out, mechanism, columns = asked
-            explanation = explain(logs, held_out=held_out, plant=mechanism, columns=columns, seed=job.seed)
+            several = job.variant is None  # a changed log is compared with the unchanged one, not with others
+            explanation = explain(
+                logs, held_out=held_out, plant=mechanism, columns=columns, seed=job.seed, agreement=several
+            )
             write_explanation(explanation, job.out)
             report = report_mapping(explanation)
             outcome |= {"report": _short(report), "seconds": round(explanation.seconds, 1)}
@@ -195,13 +194,14 @@ def _short(report: dict[str, Any]) -> dict[str, Any]:
 
 def in_a_process(job: Job, limit: float) -> dict[str, Any]:
     """The outcome of a job in a process of its own, which has so many seconds."""
+    environment = dict(os.environ) | dict.fromkeys(BLAS, "1")  # as `make score` does
+    environment |= {} if job.variant is None else VARIANTS[job.variant].environment
     with tempfile.TemporaryDirectory(prefix="rigs-") as folder:
         asked, answer = Path(folder) / "job.json", Path(folder) / "outcome.json"
         asked.write_text(json.dumps(asdict(job)), encoding="utf-8")
         try:
-            ended = subprocess.run(
-                [sys.executable, __file__, str(asked), str(answer)], capture_output=True, text=True, timeout=limit
-            )
+            command = [sys.executable, __file__, str(asked), str(answer)]
+            ended = subprocess.run(command, capture_output=True, text=True, timeout=limit, env=environment)
         except subprocess.TimeoutExpired:
             return _failed(f"not finished after {limit:g} s")
         if not answer.exists():

@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,8 @@ FAST = 400.0
 #: noise that is added, as a share of the floor
 NOISE = 0.1
 _THOUSAND = 1000.0
+#: how many threads the libraries of linear algebra may use
+BLAS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 _SIGNED = ("voltage", "position", "velocity", "current", "setpoint")
 
 Parameters = dict[str, tuple[float, ...]]
@@ -178,6 +180,11 @@ def noise_added(given: Given) -> Given | None:
     return replace(given, logs=tuple(map(noisy, given.logs)))
 
 
+def blas_threads(given: Given) -> Given:
+    """The same logs, in a process whose linear algebra may use two threads: sums then have another order."""
+    return given
+
+
 def _one_joint(given: Given) -> bool:
     return given.mechanism is not None and given.mechanism.get("kind") in ("pendulum", "slide")
 
@@ -251,10 +258,12 @@ Back = Callable[[str, Parameters, Mapping[str, str]], Parameters]
 
 @dataclass(frozen=True)
 class Variant:
-    """A change, and what the sizes of its answer are in the unchanged machine's."""
+    """A change, what the sizes of its answer are in the unchanged machine's, and what its process has in its
+    environment."""
 
     change: Callable[[Given], Given | None]
     back: Back = _same
+    environment: Mapping[str, str] = field(default_factory=dict)
 
 
 VARIANTS: dict[str, Variant] = {
@@ -271,5 +280,6 @@ VARIANTS: dict[str, Variant] = {
         Variant(column_added),
         Variant(every_second_row),
         Variant(noise_added),
+        Variant(blas_threads, environment=dict.fromkeys(BLAS, "2")),
     )
 }

@@ -8,11 +8,11 @@ from blind import records
 from blind.records import Recipe
 
 #: records of each kind in a batch of `COUNT`; other counts keep the shares
-SHARES = {"nothing": 150, "effect": 108, "pair": 32, "outside": 26, "fault": 24}
+SHARES = {"nothing": 150, "effect": 108, "case": 50, "pair": 32, "outside": 26, "fault": 24}
 COUNT = sum(SHARES.values())
-#: seeds that no threshold was ever set on start here; those for development lie between these. The
-#: misses of earlier scores, from 900000 on, were looked at since
-FINAL_SEED = 907_000
+#: seeds that no threshold was ever set on start here, with the present version of the generator; those for development
+#: lie between these. Records of version 1 with seeds from 900000 to 920339 were scored and looked at before
+FINAL_SEED = 920_000
 DEVELOPMENT_SEEDS = (2000, 3000)
 
 

@@ -1,9 +1,9 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The scored batch: makes fresh blind records, explains them, prints the table.
 
-  python test/score/run.py                       the score: 340 records, seeds from 907000 on
+  python test/score/run.py                       the score: 390 records, seeds from 920000 on
   python test/score/run.py --development --seed 2300 --count 40
-  python test/score/run.py --development --seed 2300 --only payload=3 --only nothing=5
+  python test/score/run.py --development --seed 2300 --only case=30 --only nothing=5
 
 An outcome is kept in FOLDER/outcomes.jsonl as soon as it is there, so that a batch that was
 interrupted goes on where it stopped, as long as the code is the same. Seeds of development and of

@@ -127,6 +127,7 @@ def row_of(outcome: dict) -> dict:
     row = {
         "record": outcome["record"],
         "kind": kind,
+        "case": answer["recipe"].get("case"),
         "truth": truth,
         "size": min(sizes) if sizes else answer["size"],
         "distinct_size": min((effect["distinct_size"] for effect in answer["effects"]), default=None),

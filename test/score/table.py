@@ -154,9 +154,11 @@ def text(rows: list[dict], title: str = "", alone: Sequence[float] = ()) -> str:
     return "\n".join(
         out
         + _by_parameter(seen + pairs)
-        + _by_effect(seen)
+        + _by_effect([row for row in seen if row["case"] is None])
+        + _by_case([row for row in seen + pairs if row["case"] is not None])
         + _by_what("outside the library", of["outside"])
         + _by_what("faults", of["fault"])
+        + _misses(row for row in rows if row["kind"] not in ("single", "pair") or row["size"] >= LEAST_SIZE)
     )
 
 
@@ -255,6 +257,28 @@ def _by_effect(rows: list[dict]) -> list[str]:
             + "; ".join(f"{said} ({count})" if count > 1 else said for said, count in instead.most_common())
         )
     return [line.rstrip() for line in out]
+
+
+def _by_case(rows: list[dict]) -> list[str]:
+    out = ["", f"By case (test/blind/cases.py), size {LEAST_SIZE} and more: all right / all"]
+    for case in sorted({row["case"] for row in rows}):
+        own = [row for row in rows if row["case"] == case]
+        out.append(_row(f"  {case}", f"{sum(map(_right, own))}/{len(own)}"))
+    return out
+
+
+def _misses(rows: Iterable[dict]) -> list[str]:
+    """Every record that is not as it should be, with its seed."""
+    out = ["", "Every miss: record (its number is the seed), what was there, its size, what was said"]
+    for row in rows:
+        if _right(row):
+            continue
+        truth = " + ".join(_named(*each) for each in row["truth"]) or row["what"]
+        size = "" if row["size"] is None else f" size {row['size']:.2g}"
+        case = f" [{row['case']}]" if row["case"] else ""
+        said = ", ".join(_named(*each) for each in row["said"])
+        out.append(f"  {row['record']}{case} {truth}{size} -> {row['verdict']} {said}".rstrip())
+    return out if len(out) > 2 else [*out, "  none"]
 
 
 def _instead(row: dict) -> str:

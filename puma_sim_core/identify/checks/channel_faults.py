@@ -18,16 +18,17 @@ from puma_sim_core.identify.checks.prior_fit import PriorFit
 from puma_sim_core.identify.result import Fault
 from puma_sim_core.identify.settings import CHECKS
 
-#: what the numbers are in, by what they must be multiplied (None: over the gear ratio), whether a slide can have it
+#: what the numbers are in, the unit as names of columns have it ("" where they cannot), by what they must be
+#: multiplied (None: over the gear ratio), whether a slide can have it
 _POSITION_UNITS = (
-    ("degrees, not radians", np.pi / 180.0, False),
-    ("thousandths of the unit", 1e-3, True),
-    ("a unit a thousand times as large", 1e3, True),
-    ("turns, not radians", 2.0 * np.pi, False),
-    ("angles of the motor: the gear ratio is left out", None, False),
+    ("degrees, not radians", "deg", np.pi / 180.0, False),
+    ("thousandths of the unit", "m{unit}", 1e-3, True),
+    ("a unit a thousand times as large", "", 1e3, True),
+    ("turns, not radians", "turns", 2.0 * np.pi, False),
+    ("angles of the motor: the gear ratio is left out", "", None, False),
 )
-_VOLTAGE_UNITS = (("millivolts", 1e-3), ("kilovolts", 1e3), ("raw counts", 40.0 / 2048.0))
-_TIME_UNITS = (("milliseconds", 1e-3), ("minutes", 60.0))
+_VOLTAGE_UNITS = (("millivolts", "mV", 1e-3), ("kilovolts", "", 1e3), ("raw counts", "", 40.0 / 2048.0))
+_TIME_UNITS = (("milliseconds", "ms", 1e-3), ("minutes", "", 60.0))
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,11 @@ class Correction:
     faults: tuple[Fault, ...]
     change: Change
     unusual: float
+
+
+def in_the_name(channel: str, unit: str) -> str:
+    """Words on how a log can keep its unit; "" without one."""
+    return f", or a column whose name ends with the unit, such as {channel}_{unit}" if unit else ""
 
 
 def channel_faults(model: Plausibility, c: Coarse) -> list[Fault]:
@@ -144,20 +150,23 @@ def _corrections(model: Plausibility, c: Coarse) -> Iterator[Correction]:
                 change = Change(positions=order) if name == "position" else Change(voltages=order)
                 yield Correction(faults, change, len(moved) - 1 + (name == "voltage"))
     groups = [group for size in range(1, J + 1) for group in combinations(range(J), size)]
-    for sort, (what, factor, slides) in enumerate(_POSITION_UNITS):
+    for sort, (what, suffix, factor, slides) in enumerate(_POSITION_UNITS):
         for group in groups if slides or unit != "m" else ():
             scale = np.array([(factor or 1.0 / model.mechanism.gear[j]) if j in group else 1.0 for j in range(J)])
             if not np.all(scale == 1.0):
-                faults = whole("position", group, f"its numbers are {what}", unit)
+                expected = unit + in_the_name("position1", suffix.format(unit=unit))
+                faults = whole("position", group, f"its numbers are {what}", expected)
                 yield Correction(faults, Change(scale=scale), 2.0 + sort + 0.1 * len(group))
-    for sort, (what, factor) in enumerate(_VOLTAGE_UNITS):
+    for sort, (what, suffix, factor) in enumerate(_VOLTAGE_UNITS):
         for group in groups:
             size = [float(np.abs(c.voltage[:, j]).max()) / model.unit[j] for j in group]
             if min(size) >= CHECKS.channel_great if factor < 1.0 else max(size) <= CHECKS.channel_small:
-                faults = whole("voltage", group, f"its numbers are {what}, not volts", "V")
+                expected = "V" + in_the_name("voltage1", suffix)
+                faults = whole("voltage", group, f"its numbers are {what}, not volts", expected)
                 yield Correction(faults, Change(volts=factors(group, factor)), 3.0 + sort + 0.1 * len(group))
-    for what, factor in _TIME_UNITS:
-        yield Correction((Fault.of("time", None, f"its numbers are {what}", "seconds"),), Change(clock=factor), 5)
+    for what, suffix, factor in _TIME_UNITS:
+        expected = "seconds" + in_the_name("time", suffix)
+        yield Correction((Fault.of("time", None, f"its numbers are {what}", expected),), Change(clock=factor), 5)
 
 
 def _nearer(model: Plausibility, c: Coarse) -> tuple[Change, Fault] | None:

@@ -106,7 +106,8 @@ def coarse(log: Log, cutoff: float = CHECKS.plausibility_cutoff) -> Coarse | Non
 @dataclass(frozen=True)
 class Fit:
     """One joint's voltage: how many rows counted (0: the joint rests); root mean squares of the residual and of the
-    voltage about its mean [V]; volts of dry friction, None of a joint that rests; residual (n,) [V], counted (n,)."""
+    voltage about its mean [V], of a passive joint those of its weight; volts of dry friction, None of a joint that
+    rests; residual (n,) [V], counted (n,)."""
 
     rows: int
     left: float
@@ -119,7 +120,8 @@ class Fit:
 class Plausibility:
     """Fits of the nominal model to coarse series; see the module.
 
-    unit (J,) : volts of the nominal friction; speed (J,) : emf + k H [V.s/rad].
+    unit (J,) : volts of the nominal friction; speed (J,) : emf + k H [V.s/rad]; friction_work (J,) : of the nominal
+    friction over the range, or a turn [J].
     """
 
     def __init__(self, mechanism: Mechanism):
@@ -129,13 +131,21 @@ class Plausibility:
         self.k = drive.volts_per_torque
         self.unit = self.k * np.asarray(mechanism.torque_scale, dtype=float)
         self.speed = drive.emf + self.k * drive.viscous
+        widths = np.minimum([high - low for low, high in mechanism.ranges], 2.0 * np.pi)
+        self.friction_work = np.asarray(mechanism.torque_scale, dtype=float) * widths
+
+    def inertia(self, c: Coarse) -> Floats:
+        """(J,) mean inertia that a joint moves."""
+        return self.mechanism.inertia(self.theta, c.position).mean(axis=0) + self.drive.motor_inertia
 
     def moving(self, c: Coarse, joint: int) -> Bools:
         """(n,) where a joint moves under power."""
         speed = np.abs(c.velocity[:, joint])
-        slow = (self.speed[joint] * speed < CHECKS.plausibility_slow * self.unit[joint]) | (
-            speed < CHECKS.plausibility_slow_share * float(speed.max())
-        )
+        slow = self.speed[joint] * speed < CHECKS.plausibility_slow * self.unit[joint]
+        if self.drive.emf[joint] == 0.0:
+            # nothing brakes it but friction: it moves where its inertia carries it on
+            slow &= 0.5 * self.inertia(c)[joint] * speed**2 < CHECKS.plausibility_carried * self.friction_work[joint]
+        slow |= speed < CHECKS.plausibility_slow_share * float(speed.max())
         reach = max(1, int(0.5 / (CHECKS.plausibility_cutoff * c.step)))
         near = np.convolve(slow, np.ones(2 * reach + 1), "same") > 0.5
         return ~near & c.enabled[:, joint]
@@ -160,7 +170,9 @@ class Plausibility:
         x = lsq_linear(triangle[:, :-1], triangle[:, -1], (low * sizes, high * sizes), method="bvls").x / sizes
         residual, heaviest = volts - columns @ x, float(np.abs(columns[counted, _DRY_COLUMN + 1]).max())
         dry = float(max(self.unit[joint] * x[_DRY_COLUMN] + x[_DRY_COLUMN + 1] * heaviest, 0.0))
-        return Fit(int(counted.sum()), _rms(residual[counted]), float(np.std(wanted)), dry, residual, counted)
+        # a passive joint balances its weight with its motion
+        acts = wanted if self.mechanism.driven[joint] else self.k[joint] * weight[counted, joint]
+        return Fit(int(counted.sum()), _rms(residual[counted]), float(np.std(acts)), dry, residual, counted)
 
     def torques(self, c: Coarse) -> tuple[Floats, Floats]:
         """(n, J) torque of the links, and the part of gravity."""

@@ -16,6 +16,7 @@ from puma_sim_core.identify.checks.plausibility import Coarse, Plausibility, sof
 from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.result import Fault
 from puma_sim_core.identify.settings import CHECKS, FITTING
+from puma_sim_core.recording.column_names import units_of
 
 _MOTION = "a motion that the drive can make"
 _VOLTAGE = "the voltage that acted"
@@ -51,6 +52,8 @@ def time_faults(log: Log) -> list[Fault]:
     middle = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0
     if middle > CHECKS.row_slowest:
         expected = f"times in seconds, and rows every {CHECKS.row_slowest} s at least"
+        fits = next((unit for unit, factor in units_of("time").items() if middle * factor <= CHECKS.row_slowest), None)
+        expected += f", or, if these are {fits}, a column named time_{fits}" if fits else ""
         found.append(Fault.of("time", None, f"rows come every {middle:.3g} s", expected))
     if found or not middle:
         return found
@@ -270,6 +273,8 @@ def frozen_voltages(log: Log, model: Plausibility, c: Coarse) -> list[Fault]:
     found = []
     at = _times(log, c)
     for j, v in enumerate(log.voltage.T):
+        if not model.mechanism.driven[j]:
+            continue
         channel = f"voltage{j + 1}"
         equal = _runs(v, log.time, CHECKS.row_frozen_volts)
         if np.ptp(v) == 0.0 and model.share(model.fit(c, j), j) > CHECKS.row_explained:

@@ -15,7 +15,7 @@ from puma_sim_core.errors import BagError, RecordingError
 from puma_sim_core.files import parse_yaml
 from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.data.log import Log
-from puma_sim_core.recording.bag import BagContents, read_bag
+from puma_sim_core.recording.bag import BagContents, RecordedBrakes, RecordedEffects, RecordedPlacement, read_bag
 
 
 def read_bag_log(path: str | Path, joints: int) -> Log:
@@ -23,12 +23,14 @@ def read_bag_log(path: str | Path, joints: int) -> Log:
 
     The states' own voltages are those at the motors, behind the amplifier; commands in volts are given instead, as the
     session took them: clipped to its limit, zero when the watchdog acts. Under the position servo there are no such
-    commands; the motors' voltages serve where each period has one sample of the servo.
+    commands; the motors' voltages serve where each period has one sample of the servo. Rows in which the brakes hold
+    are left out.
 
     Raises
     ------
     BagError : no whole bag of the simulator, or another number of joints.
-    RecordingError : a position session with several servo samples in a period.
+    RecordingError : a position session with several servo samples in a period; one in which joints were put somewhere
+        or effects changed; no row without brakes.
     """
     bag = read_bag(path)
     if len(bag.joint_names) != joints:
@@ -36,6 +38,10 @@ def read_bag_log(path: str | Path, joints: int) -> Log:
     rules = parse_yaml(bag.config_text, f"{path}: topic sim_node/model", BagError)
     if not isinstance(rules, Mapping):
         raise BagError("no session", where=f"{path}: topic sim_node/model", expected="a mapping")
+    changed = next((step for step, each in bag.inputs if isinstance(each, RecordedPlacement | RecordedEffects)), None)
+    if changed is not None:
+        what, expected = f"joints were put elsewhere, or effects changed, at step {changed}", "one machine all along"
+        raise RecordingError(what, where=str(path), expected=expected)
     notes: tuple[str, ...] = ()
     if bag.command_interface == "voltage":
         voltage = _commanded(bag, rules)
@@ -49,15 +55,29 @@ def read_bag_log(path: str | Path, joints: int) -> Log:
             )
         voltage = np.concatenate([bag.voltage[1:], bag.voltage[-1:]])
         notes = ("Voltages are those at the motors: the session commanded positions.",)
+    rows = _unbraked(bag)
+    if not rows.any():
+        raise RecordingError("the brakes hold in all rows", where=str(path), expected="an arm that moves")
+    if not rows.all():
+        notes += (f"{np.count_nonzero(~rows)} rows in which the brakes hold are left out.",)
     return Log(
         name=str(path),
-        time=bag.time_ns * 1e-9,
-        voltage=voltage,
-        position=bag.position,
-        velocity=bag.velocity,
-        current=bag.current,
+        time=bag.time_ns[rows] * 1e-9,
+        voltage=voltage[rows],
+        position=bag.position[rows],
+        velocity=bag.velocity[rows],
+        current=bag.current[rows],
         notes=notes,
     )
+
+
+def _unbraked(bag: BagContents) -> np.ndarray:
+    """(n,) whether the arm is free from a row on, or was until it."""
+    moments = [(step, each.engaged) for step, each in bag.inputs if isinstance(each, RecordedBrakes)]
+    held = np.zeros(len(bag.steps), dtype=bool)
+    for step, engaged in moments:
+        held[bag.steps >= step] = engaged
+    return ~(held & np.append(held[:1], held[:-1]))
 
 
 def _commanded(bag: BagContents, rules: Mapping[str, Any]) -> Floats:
@@ -66,14 +86,14 @@ def _commanded(bag: BagContents, rules: Mapping[str, Any]) -> Floats:
     timeout, period = float(rules.get("command_timeout", 0.0)), float(rules.get("period", 0.0))
     patience = max(1, round(timeout / period)) if timeout > 0.0 and period > 0.0 else 0
     volts = np.zeros((len(bag.steps), len(bag.joint_names)))
-    now, age, commands = np.zeros(volts.shape[1]), 0, iter(bag.commands)
+    now, age, commands, before = np.zeros(volts.shape[1]), 0, iter(bag.commands), -1
     pending = next(commands, None)
-    for k in range(len(volts)):
-        age += 1
-        while pending is not None and pending[0] <= k:
+    for row, step in enumerate(bag.steps.tolist()):
+        age, before = age + step - before, step
+        while pending is not None and pending[0] <= step:
             now, age = np.clip(np.array(pending[1].values), -limit, limit), 0
             pending = next(commands, None)
-        if age == patience:
+        if patience and age >= patience:
             now = np.zeros(volts.shape[1])
-        volts[k] = now
+        volts[row] = now
     return volts

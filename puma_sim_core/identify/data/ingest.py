@@ -9,18 +9,18 @@ Rows count from 1, the first row of numbers.
 """
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import accumulate
 from pathlib import Path
 
 import numpy as np
 
-from puma_sim_core.errors import RecordingError
+from puma_sim_core.errors import RecordingError, one_of
 from puma_sim_core.identify.arrays import Floats, Ints
 from puma_sim_core.identify.data.bag_log import read_bag_log
-from puma_sim_core.identify.data.column_names import suggested, unit_of
 from puma_sim_core.identify.data.log import Log, channels
 from puma_sim_core.identify.settings import DATA
+from puma_sim_core.recording.column_names import suggested, unit_in
 from puma_sim_core.recording.csv_rows import CsvRows
 
 #: groups of channels, in the order of a file; the first two must be there
@@ -33,6 +33,7 @@ def read_log(
     columns: Mapping[str, str] | None = None,
     joints: int = 3,
     *,
+    inputs: Sequence[str] | None = None,
     greatest_rows: int = DATA.reading_greatest_rows,
 ) -> Log:
     """Read a CSV file or a bag (its directory or its .mcap file).
@@ -41,6 +42,8 @@ def read_log(
     ----------
     columns : channel -> column of the file, for names that are not those of the channels.
     joints : J, of the mechanism that the log is of.
+    inputs : (J,) the channel of each joint's input, "voltage" or "setpoint", or "" of a joint without a drive; None:
+        all are voltages. Channels of other joints are 0.
     greatest_rows : of a longer CSV file the first so many are read, and a note says so.
 
     Raises
@@ -53,15 +56,23 @@ def read_log(
         if columns:
             raise RecordingError("a map of columns", where=str(path), expected="none for a bag")
         return read_bag_log(os.fspath(path), joints)
-    rows = CsvRows(path)
-    places, notes = _places(rows, _taken(rows, columns or {}, joints), joints, guessed=not columns)
+    rows = CsvRows(path, measured=True)
+    inputs = ("voltage",) * joints if inputs is None else tuple(inputs)
+    places, notes = _places(rows, _taken(rows, columns or {}, inputs), inputs, guessed=not columns)
     table, lines, more = _table(rows, [place for group in places.values() for place in group], greatest_rows)
-    factors = [unit_of(rows.names[place], group)[1] for group, own in places.items() for place in own]
-    notes += _converted(rows, places)
+    units = {group: [unit_in(rows, place, group) for place in own] for group, own in places.items()}
+    factors = [factor for own in units.values() for _, factor in own]
+    notes += _converted(units)
+    notes += [f"{rows.title} lines before the names of the columns were skipped."] if rows.title else []
     table = table * factors
     starts = accumulate(map(len, places.values()), initial=0)
     groups = {group: table[:, a : a + len(own)].copy() for a, (group, own) in zip(starts, places.items())}
     time = groups.pop("time")[:, 0]
+    for group in ("voltage", "setpoint"):
+        own = groups.get(group, np.zeros((len(time), 0)))
+        if own.shape[1] < joints and (group == "voltage" or group in groups):
+            groups[group] = np.zeros((len(time), joints))
+            groups[group][:, [given == group for given in inputs]] = own
     if "enable" in groups and groups["enable"].shape[1] != joints:
         groups["enable"] = np.repeat(groups["enable"], joints, axis=1)
     return Log(name=str(path), time=time, lines=lines, notes=(*notes, *more), **groups)
@@ -87,13 +98,12 @@ def _table(rows: CsvRows, places: list[int], greatest_rows: int) -> tuple[Floats
     return table, lines, notes
 
 
-def _converted(rows: CsvRows, places: Mapping[str, list[int]]) -> list[str]:
-    """A note on each group that is in another unit than the format's, by the names of its columns."""
+def _converted(units: Mapping[str, Sequence[tuple[str, float]]]) -> list[str]:
+    """A note on each group that is in another unit than the format's."""
     notes = []
-    for group, own in places.items():
-        units = {unit_of(rows.names[place], group) for place in own}
-        words = " and ".join(sorted(f"{unit} (times {factor:.6g})" for unit, factor in units if factor != 1.0))
-        notes += [f"By the names of its columns, {group} is in {words}: converted."] if words else []
+    for group, own in units.items():
+        words = " and ".join(sorted({f"{unit} (times {factor:.6g})" for unit, factor in own if factor != 1.0}))
+        notes += [f"By the header of the file, {group} is in {words}: converted."] if words else []
     return notes
 
 
@@ -101,13 +111,17 @@ def _where(rows: CsvRows) -> str:
     return f"{rows.path}, line {rows.names_line}"
 
 
-def _taken(rows: CsvRows, columns: Mapping[str, str], joints: int) -> dict[str, str]:
+def _taken(rows: CsvRows, columns: Mapping[str, str], inputs: Sequence[str]) -> dict[str, str]:
     """Channel -> column, of those that a file has."""
-    where, there = _where(rows), ", ".join(rows.names)
+    where, there, joints = _where(rows), ", ".join(rows.names), len(inputs)
     known = ["time", "enable", *(c for group in GROUPS for c in channels(group, joints))]
     for channel, column in columns.items():
         if channel not in known:
-            raise RecordingError(f"unknown channel '{channel}'", where="columns", expected=f"one of {', '.join(known)}")
+            raise RecordingError(
+                f"unknown channel '{channel}'",
+                where="columns",
+                expected=one_of(channel, known, "the channels of a log"),
+            )
         if column not in rows.names:
             what = f"no column '{column}' (asked for as {channel})"
             raise RecordingError(what, where=where, expected=f"one of the columns {there}")
@@ -126,23 +140,36 @@ def _taken(rows: CsvRows, columns: Mapping[str, str], joints: int) -> dict[str, 
             what = f"column '{column}' is both {used[column]} and {channel}"
             raise RecordingError(what, where="columns", expected="a column of its own for each")
         used[column] = channel
-    for channel in ("time", *(c for group in _REQUIRED for c in channels(group, joints))):
+    required = [c for group in _REQUIRED for c in _needed(group, inputs)]
+    for channel in ("time", *required, *(_needed("setpoint", inputs) if "setpoint" in inputs else ())):
         if channel not in taken:
             expected = f"a column of that name or one given as {channel}=COLUMN; there are {there}"
-            named = ",".join(f"{ours}={theirs}" for ours, theirs in suggested(rows.names, joints).items())
+            expected += f". The plant has {joints} joints" if joints > 1 else ""
+            named = ",".join(f"{ours}={theirs}" for ours, theirs in suggested(rows.names, inputs).items())
             expected += f". By their names: --columns {named}" if named and not columns else ""
+            if len(rows.names) == 1:
+                expected += ". Fields stand between commas, semicolons or tabs"
             raise RecordingError(f"channel '{channel}' is missing", where=where, expected=expected)
     return taken
 
 
+def _needed(group: str, inputs: Sequence[str]) -> list[str]:
+    """The channels of a group that say something: a joint without a drive has no voltage."""
+    own = [given == group for given in inputs]
+    if group not in ("voltage", "setpoint") or (group == "setpoint" and not any(own)):
+        return channels(group, len(inputs))
+    return [channel for channel, needed in zip(channels(group, len(inputs)), own) if needed]
+
+
 def _places(
-    rows: CsvRows, taken: Mapping[str, str], joints: int, guessed: bool
+    rows: CsvRows, taken: Mapping[str, str], inputs: Sequence[str], guessed: bool
 ) -> tuple[dict[str, list[int]], list[str]]:
     """Group -> places of its columns, and notes on columns that are not used. guessed : no map names the columns."""
-    notes, places = [], {"time": [rows.names.index(taken["time"])]}
+    notes, places, joints = [], {"time": [rows.names.index(taken["time"])]}, len(inputs)
     for group in GROUPS:
-        found = [c for c in channels(group, joints) if c in taken]
-        if len(found) == joints:
+        needed = _needed(group, inputs)
+        found = [c for c in needed if c in taken]
+        if found and len(found) == len(needed):
             places[group] = [rows.names.index(taken[c]) for c in found]
         elif group == "enable" and "enable" in taken:
             places[group] = [rows.names.index(taken["enable"])]

@@ -1,5 +1,5 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
-"""The excitation that best tells two effects apart, or shows one: a seeded search.
+"""The excitation that best tells effects apart, or shows one: a seeded search.
 
 Random motions, then neighbours of the best ones, are judged by `separation` on what the machine would do if the effect
 were there. The voltages of the best ones are simulated on machines whose parameters are wrong by 8 %, and with the
@@ -8,12 +8,13 @@ effects in them; a motion is made smaller until all of them stay in their ranges
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
 from puma_sim_core.effects import KINDS
 from puma_sim_core.effects.relations import EXACT_TIES
-from puma_sim_core.errors import ParameterError
+from puma_sim_core.errors import ParameterError, one_of
 from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.experiment.excitation import Builder, Limits, Motion, voltages
 from puma_sim_core.identify.experiment.separation import (
@@ -26,7 +27,7 @@ from puma_sim_core.identify.experiment.separation import (
     simulate,
 )
 from puma_sim_core.identify.settings import EXPERIMENT, SELECTION
-from puma_sim_core.jit import BACKEND
+from puma_sim_core.jit import BACKEND, is_compiled
 from puma_sim_core.plant.mechanism import Mechanism
 from puma_sim_core.plant.plant import Plant
 from puma_sim_core.simulation.simulator import SERVO_PERIOD
@@ -67,7 +68,7 @@ class Design:
             other = next(s for s in self.suspects if s != self.one_way)
             what = f"tells {self.one_way} of a usual size from {other}, which it has as a special case"
         else:
-            what = f"tells {self.suspects[0]} and {self.suspects[1]} of a usual size apart"
+            what = f"tells {', '.join(self.suspects[:-1])} and {self.suspects[-1]} of a usual size apart"
         return (
             f"{what} by {self.nats:.3g} nat, which is {self.noises:.2g} times a noise of "
             f"{EXPERIMENT.separation_noise:g} V all the time (one slow sine a joint: {self.plain:.3g} nat)"
@@ -80,13 +81,18 @@ def suspects_of(texts: Sequence[str], mechanism: Mechanism, joint: int | None = 
     Raises
     ------
     ParameterError : an effect or a joint that is not there, that this mechanism cannot have or
-        that no motion can show; other than one or two; the same twice.
+        that no motion can show; too many; the same twice; a joint without a drive on volts.
     """
-    if not 1 <= len(texts) <= 2:
-        raise ParameterError(f"{len(texts)} effects", where="--separate", expected="one or two")
+    if set(mechanism.inputs) != {"voltage"}:
+        what = f"'{mechanism.name}' has a joint that cannot be given volts"
+        raise ParameterError(what, where="--plant", expected="a mechanism whose joints are all driven, without servos")
+    if not 1 <= len(texts) <= EXPERIMENT.design_suspects:
+        expected = f"one, or up to {EXPERIMENT.design_suspects} to tell apart"
+        raise ParameterError(f"{len(texts)} effects", where="--separate", expected=expected)
     found = tuple(_suspect(text.strip(), mechanism, joint) for text in texts)
     if len(set(found)) < len(found):
-        raise ParameterError(f"{found[0].label} twice", where="--separate", expected="two effects, or one")
+        twice = next(each for n, each in enumerate(found) if each in found[:n])
+        raise ParameterError(f"{twice.label} twice", where="--separate", expected="each effect once")
     return found
 
 
@@ -98,7 +104,7 @@ def _suspect(text: str, mechanism: Mechanism, joint: int | None) -> Suspect:
 
     kind = KINDS.get(name)
     if kind is None:
-        raise refused(f"unknown effect '{name}'", f"one of {', '.join(KINDS)}")
+        raise refused(f"unknown effect '{name}'", one_of(name, KINDS, "`puma-sim list`"))
     if kind.screening is None:
         raise refused("is a parameter of every mechanism", "an effect; " + _reason(name))
     if not mechanism.possible(name):
@@ -139,7 +145,7 @@ def design(
     motions: int | None = None,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> Design:
-    """Look for the excitation that tells two suspects apart, or shows one.
+    """Look for the excitation that tells suspects apart, each from each, or shows one.
 
     Parameters
     ----------
@@ -153,6 +159,7 @@ def design(
         short or too long, or at too low a rate.
     """
     _check(seconds, rate)
+    is_compiled("identification")  # a program may wait here until it is
     limits = limits or Limits.of(mechanism)
     builder = Builder(mechanism, limits, seconds)
     judge = Judge(builder, suspects)
@@ -262,10 +269,11 @@ def _ties(judge: Judge, motions: list[Motion]) -> str | None:
         for n, direction in enumerate(judge.directions, start=len(labels))
         if len(labels) == 1 or any(look[n].share > EXPERIMENT.design_no_share for look in looks)
     ]
-    if not possible:
-        what = f"{labels[0]} and {labels[1]} are an exact tie"
-        raise refused(what, f"effects that differ in voltage and position ({_reason(*labels)})")
-    one_way = labels[possible[0][0]] if len(possible) < len(judge.directions) else None
+    for n, m in combinations(range(len(labels)), 2):
+        if not {(n, m), (m, n)} & set(possible):
+            what = f"{labels[n]} and {labels[m]} are an exact tie"
+            raise refused(what, f"effects that differ in voltage and position ({_reason(labels[n], labels[m])})")
+    one_way = labels[possible[0][0]] if len(labels) == 2 and len(possible) == 1 else None
     judge.directions = possible
     return one_way
 

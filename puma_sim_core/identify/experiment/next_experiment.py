@@ -2,7 +2,7 @@
 """What to record next: the tie to break, or the effect to bring out, and the command for it."""
 
 import shlex
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -26,7 +26,7 @@ class Named(Protocol):
 
 def next_experiment(
     mechanism: Mechanism,
-    ties: Iterable[tuple[Named, Named]],
+    ties: Iterable[Sequence[Named]],
     not_excited: Iterable[Named],
     log_name: str,
     *,
@@ -34,24 +34,27 @@ def next_experiment(
     parameters: str | None = None,
     model: str | None = None,
 ) -> NextExperiment | None:
-    """The first tie, else the first effect that the log did not excite, and how to get at it.
+    """The first effects that are tied, else the first one that the log did not excite, and how to get at it.
 
     Parameters
     ----------
-    ties : pairs of what is named and what the log cannot tell from it, the most wanted first. Where the second has the
-        first as a special case no record could tell, and none is asked for.
+    ties : what is named with all that the log cannot tell from it, the most wanted first. What no motion shows, such as
+        an impact, is left out; one that has the named effect as a special case could never be told from it.
     not_excited : what it says nothing of; those on a joint come before those of the whole arm.
     log_name : of the log, for the sentence.
     plant, parameters, model : how `explain` was called; the mechanism's name by default.
 
     Returns
     -------
-    None where nothing is left open that a motion could show.
+    None where nothing is left open that a motion could show, or where volts cannot be given to all joints.
     """
+    if set(mechanism.inputs) != {"voltage"}:
+        return None
     found: tuple[Named, ...] = ()
-    for pair in ties:
-        if all(_can_be_shown(each, mechanism) for each in pair) and not _within(*pair):
-            found = pair
+    for named, *others in ties:
+        told = [each for each in others if _can_be_shown(each, mechanism) and not _within(named, each)]
+        if told and _can_be_shown(named, mechanism):
+            found = (named, *told[: EXPERIMENT.design_suspects - 1])
             break
     else:
         wanted = [each for each in not_excited if _can_be_shown(each, mechanism)]
@@ -84,7 +87,7 @@ def _can_be_shown(each: Named, mechanism: Mechanism) -> bool:
 def _within(first: Named, second: Named) -> bool:
     """Whether the first is a special case of the second, on one joint: the second then explains every record of the
     first as well, and the simpler name is preferred."""
-    return first.joint == second.joint and first.name in KINDS[second.name].contains
+    return first.joint == second.joint and first.name in KINDS[second.name].special_cases
 
 
 def _has_columns(each: Named, mechanism: Mechanism) -> bool:
@@ -103,9 +106,10 @@ def _sentence(log_name: str, separate: tuple[Hypothesis, ...], joints: int) -> s
     if len(separate) == 1:
         what = f"{log_name} could not have shown {names[0]}. What shows it: {lower}"
     else:
-        told = _told_apart(*separate)
-        why = f": {told}" if told else ""
-        what = f"{log_name} cannot tell {names[0]} from {names[1]}{why}. What tells them apart: {lower}"
+        told = [reason for each in separate[1:] if (reason := _told_apart(separate[0], each))]
+        why = f": {'; '.join(told)}" if told else ""
+        others = " and ".join(filter(None, (", ".join(names[1:-1]), names[-1])))
+        what = f"{log_name} cannot tell {names[0]} from {others}{why}. What tells them apart: {lower}"
     return (
         f"{what} The command writes voltages for that; start at rest in the pose that the file names, record, and "
         "explain both logs together."

@@ -1,5 +1,5 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
-"""How well a motion tells two effects apart, before it is made.
+"""How well a motion tells effects apart, before it is made.
 
 The parameters of the mechanism, with their priors, are projected out of the columns of both effects along the motion,
 as in `evidence`. What is then left of one effect of a usual size when the other one may take any coefficients, over the
@@ -10,6 +10,7 @@ square, in nats.
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import groupby, permutations
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -63,7 +64,8 @@ class Distance:
 
 
 class Judge:
-    """Judges motions by how well they tell suspects apart, or show a single one. suspects : one or two."""
+    """Judges motions by how well they tell suspects apart, or show a single one. suspects : one or
+    several, each of which is to be told from each other one."""
 
     def __init__(self, builder: Builder, suspects: tuple[Suspect, ...]):
         self.builder, self.suspects = builder, suspects
@@ -72,7 +74,9 @@ class Judge:
         self.noise = velocity_noise(self.mechanism)
         self.step = EXPERIMENT.separation_fine if any(s.kind.fine for s in suspects) else EXPERIMENT.separation_step
         #: directions that count; `design` drops those of special cases
-        self.directions: list[Direction] = [(0, None)] if len(suspects) == 1 else [(0, 1), (1, 0)]
+        self.directions: list[Direction] = (
+            [(0, None)] if len(suspects) == 1 else list(permutations(range(len(suspects)), 2))
+        )
 
     def planned(self, motion: Motion) -> Signals:
         """Signals of the motion as it is planned."""
@@ -108,11 +112,11 @@ class Judge:
         """Distances of the directions along what the machine does if the effect is there: friction holds where the plan
         creeps. None where it leaves its ranges."""
         found = []
-        for direction in self.directions:
-            signals = self.simulated(motion, self.usual[direction[0]])
+        for number, own in groupby(self.directions, key=lambda direction: direction[0]):
+            signals = self.simulated(motion, self.usual[number])
             if signals is None:
                 return None
-            found += self._distances(signals, [direction])
+            found += self._distances(signals, list(own))
         return found
 
     @cached_property
@@ -173,7 +177,7 @@ def simulate(
     """(n, J) measured positions of a plant under voltages, from rest in the motion's pose on; None
     where its state stops being finite."""
     simulator = Simulator(plant, max_step=max_step)
-    motors = plant.arm.motors[3 - plant.joints :]
+    motors = [plant.arm.motors[axis] for axis in plant.axes]
     simulator.reset(tuple(motion.centre), current=tuple(v / motor.resistance for v, motor in zip(volts[0], motors)))
     try:
         return simulator.run(time, volts).position

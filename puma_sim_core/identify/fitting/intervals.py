@@ -10,7 +10,7 @@ import numpy as np
 
 from puma_sim_core.effects import Effect, Parameter
 from puma_sim_core.identify.arrays import Floats
-from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit, with_value
+from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit, Slopes, with_value
 from puma_sim_core.identify.parallel import parallel_map
 from puma_sim_core.identify.settings import FITTING
 
@@ -77,7 +77,7 @@ def _profile(fit: PredictionFit, fitted: Fitted, k: int, spread: float, wider: f
     number, _ = fitted.names[k]
     effect, spec = _free(fitted, k)
     others = tuple(pair for n, pair in enumerate(fitted.names) if n != k)
-    jacobian = np.delete(fitted.slopes, fitted.slopes.shape[1] - len(fitted.names) + k, axis=1)
+    jacobian = Slopes.of(np.delete(fitted.slopes, fitted.slopes.shape[1] - len(fitted.names) + k, axis=1))
     enough, before = 0.5 * FITTING.normal_quantile**2 * wider, (0.0, 0.0)
     for share in FITTING.profile_shares:
         reach = share * FITTING.normal_quantile * abs(spread)

@@ -5,8 +5,11 @@ The innovations of a true model are white and independent of the past, with feed
 (Ljung, System Identification, chapter 13), and the causal filter that weights the innovations keeps that.
 """
 
+from __future__ import annotations
+
 from collections.abc import Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -46,6 +49,33 @@ class Point:
     def plant(self, mechanism: Mechanism) -> Plant:
         """The plant of a mechanism with these parameters and effects."""
         return mechanism.plant(self.theta, self.effects)
+
+
+class Slopes(NamedTuple):
+    """Derivatives of whitened errors at the rows to fit, in parts (N', p) side by side, and their normal matrix: many
+    steps are made with the same ones."""
+
+    parts: tuple[Floats, ...]
+    normal: Floats
+
+    @classmethod
+    def of(cls, jacobian: Floats) -> Slopes:
+        """Those of one part."""
+        return cls((jacobian,), jacobian.T @ jacobian)
+
+    def beside(self, columns: Floats) -> Slopes:
+        """These, and further columns (N', c)."""
+        across = np.vstack([part.T @ columns for part in self.parts])
+        return Slopes((*self.parts, columns), np.block([[self.normal, across], [across.T, columns.T @ columns]]))
+
+    def gradient(self, errors: Floats) -> Floats:
+        """(p + c,) sums of derivatives and errors (N',)."""
+        return np.concatenate([part.T @ errors for part in self.parts])
+
+    @property
+    def jacobian(self) -> Floats:
+        """(N', p + c) all parts."""
+        return self.parts[0] if len(self.parts) == 1 else np.hstack(self.parts)
 
 
 @dataclass(frozen=True)
@@ -133,7 +163,7 @@ class PredictionFit:
 
     def _raw(self, point: Point) -> Floats | None:
         try:
-            return self.predictor.errors(point.plant(self.mechanism))
+            return self.predictor.remembered(point.key, lambda: self.predictor.errors(point.plant(self.mechanism)))
         except (NonFiniteStateError, ParameterError):
             return None
 
@@ -158,15 +188,15 @@ class PredictionFit:
         point: Point,
         free: Iterable[tuple[int, str]],
         *,
-        jacobian: Floats | None = None,
+        jacobian: Slopes | None = None,
         frozen: Pairs = (),
         rounds: int = FITTING.rounds,
     ) -> Fitted | None:
         """Fit from a start; None where it cannot be run.
 
-        free : (number of the effect, its parameter) pairs whose derivatives are taken in each round; jacobian
-        (N', p + c) : derivatives after whitening by the mechanism's parameters and by the pairs `frozen`, which stay as
-        they are in all rounds, None: all derivatives are taken in each round.
+        free : (number of the effect, its parameter) pairs whose derivatives are taken in each round; jacobian :
+        derivatives after whitening by the mechanism's parameters and by the pairs `frozen`, which stay as they are in
+        all rounds, None: all derivatives are taken in each round.
         """
         errors = self.errors(point)
         if errors is None:
@@ -174,17 +204,17 @@ class PredictionFit:
         best = self.objective(errors, point)
         pairs = (*frozen, *free)
         own = pairs[len(frozen) :]
-        full = None
+        slopes = jacobian
         for _ in range(rounds):
             if jacobian is None:
-                full = self.whitened(self.derivatives(point, pairs))
-            else:
-                raw = self._raw(point) if own else None
-                columns = [] if raw is None else [self._by_effect(point, raw, *pair)[:, :, None] for pair in own]
-                full = np.hstack([jacobian, *(self.whitened(column) for column in columns)])
-            step = self._newton(full, point, errors, pairs)
+                slopes = Slopes.of(self.whitened(self.derivatives(point, pairs)))
+            elif own and (raw := self._raw(point)) is not None:
+                columns = np.stack([self._by_effect(point, raw, *pair) for pair in own], axis=2)
+                slopes = jacobian.beside(self.whitened(columns))
+            assert slopes is not None
+            step = self._newton(slopes, point, errors, pairs)
             gained = 0.0
-            for moved, trial in self._tried(full, point, step, pairs):
+            for moved, trial in self._tried(slopes, point, step, pairs):
                 objective = self.objective(trial, moved)
                 if objective < best:
                     gained = best - objective
@@ -192,9 +222,9 @@ class PredictionFit:
                     break
             if gained < FITTING.least_round_gain:
                 break
-        return Fitted(point, errors, best, pairs, full)
+        return Fitted(point, errors, best, pairs, None if slopes is None else slopes.jacobian)
 
-    def from_start(self, fitted: Fitted, jacobian: Floats) -> Fitted:
+    def from_start(self, fitted: Fitted, jacobian: Slopes) -> Fitted:
         """A fit, or one from the start values of the parameters if lower: against local minima. jacobian : as `run`."""
         start = Point(self.mechanism.start, fitted.point.effects)
         found = self.run(start, (), jacobian=jacobian, frozen=fitted.names, rounds=FITTING.rounds_from_start)
@@ -229,22 +259,22 @@ class PredictionFit:
     def linear(self, point: Point, pairs: Pairs, raw: Floats, *, rounds: int = FITTING.rounds) -> Fitted:
         """Fit with derivatives before whitening (N, J, p + c) that stay as they are, from a model or from the start
         values. Raises ParameterError where a start cannot be run along the log."""
-        jacobian = self.whitened(raw)
+        jacobian = Slopes.of(self.whitened(raw))
         fitted = self.run(point, (), jacobian=jacobian, frozen=pairs, rounds=rounds)
         if fitted is None:
             raise _cannot_be_run()
         return self.from_start(fitted, jacobian)
 
-    def _newton(self, full: Floats, point: Point, errors: Floats, pairs: Pairs) -> Floats:
-        """(p + c,) the step of Gauss and Newton from a model, with derivatives (N', p + c)."""
+    def _newton(self, slopes: Slopes, point: Point, errors: Floats, pairs: Pairs) -> Floats:
+        """(p + c,) the step of Gauss and Newton from a model."""
         m, p = self.mechanism, len(self.mechanism.deviations)
         slope, precision = self.prior(point, pairs)
-        normal = full.T @ full + np.diag(np.concatenate([np.ones(p), precision]))
+        normal = slopes.normal + np.diag(np.concatenate([np.ones(p), precision]))
         position = (point.theta - m.start) / m.deviations
-        gradient = full.T @ errors[self.rows] + np.concatenate([position, slope])
+        gradient = slopes.gradient(errors[self.rows]) + np.concatenate([position, slope])
         return bounded_step(normal, gradient, p)
 
-    def _tried(self, full: Floats, point: Point, step: Floats, pairs: Pairs) -> Iterator[tuple[Point, Floats]]:
+    def _tried(self, slopes: Slopes, point: Point, step: Floats, pairs: Pairs) -> Iterator[tuple[Point, Floats]]:
         """(model, its errors) that can be run: a whole step, one more from there, for curved valleys, and parts."""
         for share in FITTING.step_shares:
             moved = self._moved(point, share * step, pairs)
@@ -252,7 +282,7 @@ class PredictionFit:
                 continue
             yield moved
             if share == 1.0:
-                moved = self._moved(moved[0], self._newton(full, *moved, pairs), pairs)
+                moved = self._moved(moved[0], self._newton(slopes, *moved, pairs), pairs)
                 if moved is not None:
                     yield moved
 

@@ -19,7 +19,7 @@ from scipy.signal import fftconvolve
 from puma_sim_core.identify.arrays import Bools, Floats, log_rows
 from puma_sim_core.identify.data import filters
 from puma_sim_core.identify.data.log import Log
-from puma_sim_core.identify.noise.weighting import Weighting
+from puma_sim_core.identify.noise.weighting import Weighting, folded_response
 from puma_sim_core.identify.remembered import Remembered
 from puma_sim_core.identify.settings import FITTING
 from puma_sim_core.plant.mechanism import Mechanism
@@ -54,8 +54,11 @@ class Stretch:
 class Predictor:
     """Logs with a mechanism, ready to be predicted by plants.
 
-    validation : for each log which of its rows are of the validation set; volts, noise (J,) : standard deviations of
-    the noise of a row's voltage [V] and of a position [rad or m], from which the gain follows.
+    validation : for each log which of its rows are of the validation set; noise (J,) : standard deviation of the noise
+    of a position [rad or m]; volts (J,) : of that of a row's voltage [V] that the gain is made for, None: the least
+    with which the predictor forgets an error within the settling time, and a share of the friction scale. What is no
+    white noise of these two is for the weighting of the innovations; expected (J,) : the noise of a row's voltage [V]
+    as the filtered motion shows it.
 
     Attributes for each joint: gain (J, 3) of position [1], velocity [1/s] and current [A/rad] for an innovation;
     responses: innovations (k,) [rad/V] after a volt in one row that the model lacks; spread: standard deviation of an
@@ -64,24 +67,39 @@ class Predictor:
     """
 
     def __init__(
-        self, logs: Sequence[Log], mechanism: Mechanism, validation: Sequence[RowChoice], volts: Floats, noise: Floats
+        self,
+        logs: Sequence[Log],
+        mechanism: Mechanism,
+        validation: Sequence[RowChoice],
+        volts: Floats | None,
+        noise: Floats,
+        expected: Floats | None = None,
     ):
         self.mechanism = mechanism
         #: derivatives about the models that were looked at last
         self.derived = Remembered(FITTING.cached_models)
+        #: innovations of the models that were run last
+        self.remembered = Remembered(FITTING.cached_runs)
         self.stretches = [self._stretch(log, chosen) for log, chosen in zip(logs, validation)]
         self.step = float(np.median(np.concatenate([np.diff(s.time) for s in self.stretches])))
         self.responses: list[Floats] = []
         self.spread: list[float] = []
         self.linear: list[tuple[Floats, Floats, Floats]] = []
+        noise = np.maximum(noise, FITTING.least_position_noise)
+        models = self._joint_models()
+        #: volts (J,) of the nominal friction scale
+        scale = mechanism.drive(mechanism.start).volts_per_torque * np.asarray(mechanism.torque_scale, dtype=float)
+        if volts is None:
+            settling = [_least_volts(model, r, self.step) for model, r in zip(models, noise.tolist())]
+            volts = np.maximum(settling, FITTING.least_gain_noise * scale)
         #: noise of a row's voltage that the gain is made for [V]
         self.volts = np.maximum(volts, FITTING.least_voltage_noise)
-        self.gain = self._gain(self.volts, np.maximum(noise, FITTING.least_position_noise), self.step)
+        self.expected = self.volts if expected is None else expected
+        self.gain = self._gain(models, noise)
         far = FITTING.farthest_pose
         low, high = np.array([[max(a, -far), min(b, far)] for a, b in mechanism.ranges]).T
         self.poses = low + (high - low) * np.random.default_rng(0).random((FITTING.poses, len(low)))
         self.inertia_at_start = self._least_inertia(mechanism.start)
-        scale = mechanism.drive(mechanism.start).volts_per_torque * np.asarray(mechanism.torque_scale, dtype=float)
         self.least = FITTING.least_row_noise * scale
 
     def feasible(self, theta: Floats) -> bool:
@@ -116,13 +134,14 @@ class Predictor:
             validation=np.zeros_like(usable),
         ).validated_at(chosen)
 
-    def _gain(self, volts: Floats, noise: Floats, step: float) -> Floats:
-        """(J, 3) steady Kalman gain of each joint by itself, its inertia at its mean."""
+    def _joint_models(self) -> list[tuple[Floats, Floats]]:
+        """Transition and voltage column of each joint by itself over a row, its inertia at its mean. States: position,
+        velocity, and torque in volts where the current lags."""
         m = self.mechanism
         position = np.vstack([s.position for s in self.stretches])[:: FITTING.inertia_every]
         drive = m.drive(m.start)
         inertia = m.inertia(m.start, position).mean(axis=0) + drive.motor_inertia
-        motors, gains = m.plant(m.start).arm.motors, []
+        models = []
         for j in range(m.joints):
             k, lag, emf = drive.volts_per_torque[j], drive.lag[j], drive.emf[j]
             M, H = inertia[j], drive.viscous[j]
@@ -135,20 +154,21 @@ class Predictor:
                 B = np.array([[0.0], [1.0 / (k * M)]])
             n = len(A)
             block = np.zeros((n + 1, n + 1))
-            block[:n, :n], block[:n, n:] = A * step, B * step
+            block[:n, :n], block[:n, n:] = A * self.step, B * self.step
             block = expm(block)
-            F, G, C = block[:n, :n], block[:n, n:], np.eye(1, n)
-            Q = G @ G.T * volts[j] ** 2 + np.diag(FITTING.regular_variance[:n])
-            R = noise[j] ** 2
-            P = solve_discrete_are(F.T, C.T, Q, np.array([[R]]))
-            if (least := FITTING.least_noise_of_prediction**2 * P[0, 0]) > R:
-                R, P = least, solve_discrete_are(F.T, C.T, Q, np.array([[least]]))
-            gain = (P @ C.T / (P[0, 0] + R)).ravel()
-            current = gain[2] / float(motors[j].resistance) if n == 3 else 0.0
+            models.append((block[:n, :n], block[:n, n:]))
+        return models
+
+    def _gain(self, models: Sequence[tuple[Floats, Floats]], noise: Floats) -> Floats:
+        """(J, 3) steady Kalman gain of each joint by itself."""
+        resistance, gains = self.mechanism.drive(self.mechanism.start).resistance, list[list[float]]()
+        for j, (F, G) in enumerate(models):
+            gain, variance = _steady_gain(F, G, self.volts[j], noise[j])
+            current = gain[2] / float(resistance[j]) if len(F) == 3 else 0.0
             gains.append([gain[0], gain[1], current])
-            self.responses.append(_response(F, G, C, gain))
+            self.responses.append(_response(F, G, np.eye(1, len(F)), gain))
             self.linear.append((F, G[:, 0], gain))
-            self.spread.append(float(np.sqrt(P[0, 0] + R)))
+            self.spread.append(float(np.sqrt(variance)))
         return np.array(gains)
 
     def errors(self, plant: Plant) -> Floats:
@@ -174,24 +194,37 @@ class Predictor:
 
     def in_volts(self, errors: Floats, cutoff: float) -> Floats:
         """(N, J) voltages [V] that the model lacks by its innovations (N, J), up to `cutoff` [Hz]: the predictor's
-        response undone frequency by frequency."""
+        response undone frequency by frequency.
+
+        It is undone up to a high cutoff first, and the voltages are continued beyond the ends of a log by reflection:
+        innovations that are zero from its end on would be those of a voltage that ends them.
+        """
         out = np.empty_like(errors)
+        wide = max(cutoff, FITTING.undone_to / self.step)
+        blurred, pad = (int(np.ceil(2.0 / (f * self.step))) for f in (wide, cutoff))
         for rows in log_rows(self.lengths):
             count = rows.stop - rows.start
+            kept = max(count - blurred, 1)
             for j, taps in enumerate(self.responses):
-                size = fft.next_fast_len(count + len(taps) + int(2.0 / (cutoff * self.step)), real=True)
-                ratio = filters.response(fft.rfftfreq(size, self.step), cutoff) / fft.rfft(taps, size)
-                out[rows, j] = fft.irfft(fft.rfft(errors[rows, j], size) * ratio, size)[:count]
+                size = fft.next_fast_len(count + len(taps) + blurred, real=True)
+                ratio = filters.response(fft.rfftfreq(size, self.step), wide) / fft.rfft(taps, size)
+                volts = fft.irfft(fft.rfft(errors[rows, j], size) * ratio, size)[:kept]
+                after = pad + count - kept
+                longer = np.pad(volts, (pad, after), mode="symmetric")
+                size = fft.next_fast_len(len(longer), real=True)
+                passed = filters.response(fft.rfftfreq(size, self.step), cutoff)
+                out[rows, j] = fft.irfft(fft.rfft(longer, size) * passed, size)[pad : pad + count]
         return out
 
-    def floor_in_volts(self, cutoff: float) -> Floats:
-        """(J,) `in_volts` root mean square [V] of a true model with this noise."""
-        f = np.linspace(0.0, 0.5 / self.step, FITTING.spectrum_points)
+    def floor_in_volts(self, cutoff: float, weighting: Weighting) -> Floats:
+        """(J,) `in_volts` root mean square [V] of a true model whose innovations the weighting makes white."""
+        size = 2 * (FITTING.spectrum_points - 1)
+        f: Floats = np.fft.rfftfreq(size, self.step).astype(float)
         out = []
-        for taps, spread in zip(self.responses, self.spread):
-            turn = np.exp(-2j * np.pi * np.outer(f, np.arange(len(taps))) * self.step)
-            ratio = np.abs(filters.response(f, cutoff) / (turn @ taps)) ** 2
-            out.append(np.sqrt(2.0 * self.step * ratio.sum() * f[1]) * spread)
+        for j, taps in enumerate(self.responses):
+            passed = np.abs(folded_response(taps, size) * folded_response(weighting.filters[j], size)) ** 2
+            ratio = np.abs(filters.response(f, cutoff)) ** 2 / passed
+            out.append(np.sqrt(2.0 * self.step * ratio.sum() * f[1]) * weighting.scale[j])
         return np.array(out)
 
     def open_loop_variance(self, volts: Floats, noise: Floats, rows: int) -> Floats:
@@ -226,7 +259,7 @@ class Predictor:
     def less(self, volts: Floats) -> Predictor:
         """The same logs with voltages (N, J) [V] taken from those that the plant gets."""
         other = copy(self)
-        other.derived = Remembered(FITTING.cached_models)
+        other.derived, other.remembered = Remembered(FITTING.cached_models), Remembered(FITTING.cached_runs)
         other.stretches = []
         for s, rows in zip(self.stretches, log_rows(self.lengths)):
             voltage = s.voltage.copy()
@@ -248,6 +281,11 @@ class Predictor:
         return tuple(len(s.time) - 1 for s in self.stretches)
 
     @property
+    def settling(self) -> int:
+        """Innovations at the start of each log at least that count for nothing: there the predictor settles."""
+        return min(int(np.argmax((s.fit | s.validation).any(axis=1))) for s in self.stretches)
+
+    @property
     def fit_rows(self) -> Bools:
         """(N, J) whether an innovation may be used to fit."""
         return np.concatenate([s.fit for s in self.stretches])
@@ -266,7 +304,43 @@ class Predictor:
                 scale[j] = FITTING.deviation_of_median * np.median(np.abs(change)) / np.sqrt(2.0)
             spread = FITTING.least_median_share * float(np.std(change)) / np.sqrt(2.0)
             scale[j] = max(scale[j], spread, self.least[j] * float(np.linalg.norm(response)), 1e-15)
-        return Weighting(np.ones((len(scale), 1)), scale, self.lengths)
+        return Weighting(np.ones((len(scale), 1)), scale, self.lengths, self.settling)
+
+
+def _steady_gain(F: Floats, G: Floats, volts: float, noise: float) -> tuple[Floats, float]:
+    """Steady Kalman gain (n,) of a joint, and the variance of its innovations."""
+    n = len(F)
+    C = np.eye(1, n)
+    Q = G @ G.T * volts**2 + np.diag(FITTING.regular_variance[:n])
+    R = noise**2
+    P = solve_discrete_are(F.T, C.T, Q, np.array([[R]]))
+    if (least := FITTING.least_noise_of_prediction**2 * P[0, 0]) > R:
+        R, P = least, solve_discrete_are(F.T, C.T, Q, np.array([[least]]))
+    return (P @ C.T / (P[0, 0] + R)).ravel(), float(P[0, 0] + R)
+
+
+def _least_volts(model: tuple[Floats, Floats], noise: float, step: float) -> float:
+    """The least noise of a row's voltage [V] with whose gain a joint forgets an error within the settling time, by the
+    slowest pole of the predictor: bisection over the logarithm."""
+    F, G = model
+    rows = max(FITTING.settling_time / step, FITTING.least_memory_rows)
+
+    def forgets(volts: float) -> bool:
+        gain, _ = _steady_gain(F, G, volts, noise)
+        kept = F - np.outer(F @ gain, np.eye(1, len(F)))
+        return float(np.abs(np.linalg.eigvals(kept)).max()) ** rows <= FITTING.forgotten
+
+    # the volts that move the joint by the noise of a position within that time
+    moved = np.linalg.matrix_power(F, max(int(rows), 1))[0] @ G[:, 0]
+    low = high = np.log(noise / max(abs(float(moved)), 1e-300))
+    while not forgets(float(np.exp(high))) and high - low < FITTING.memory_range:
+        high += 1.0
+    while forgets(float(np.exp(low))) and high - low < FITTING.memory_range:
+        low -= 1.0
+    for _ in range(FITTING.memory_bisections):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if forgets(float(np.exp(middle))) else (middle, high)
+    return float(np.exp(high))
 
 
 def _response(F: Floats, G: Floats, C: Floats, gain: Floats) -> Floats:
@@ -293,5 +367,6 @@ def stationary_covariance(A: Floats, Q: Floats) -> Floats:
 
 def stable_step(plant: Plant, at_most: float) -> float:
     """Step of integration [s] at which a plant's windings are stable: a fit may make them fast."""
-    lags = [m.inductance / m.resistance for m in plant.arm.motors[3 - plant.joints :] if m.inductance > 0.0]
+    motors = [plant.arm.motors[axis] for axis in plant.axes]
+    lags = [m.inductance / m.resistance for m in motors if m.inductance > 0.0]
     return min([at_most, *(FITTING.greatest_step_lags * lag for lag in lags)])

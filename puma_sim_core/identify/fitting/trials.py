@@ -6,7 +6,7 @@ A trial counts by its gain of log likelihood less the Occam factor, its gain on 
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from puma_sim_core.effects.screening import Illegal
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.fitting import occam
-from puma_sim_core.identify.fitting.prediction import Fitted, Pairs, Point, PredictionFit, bounded, with_value
+from puma_sim_core.identify.fitting.prediction import Fitted, Pairs, Point, PredictionFit, Slopes, bounded, with_value
 from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.noise.weighting import Weighting
 from puma_sim_core.identify.screening.evidence import Key, Scored
@@ -96,6 +96,11 @@ class Base:
     model: Fitted
     jacobian: Floats
 
+    @cached_property
+    def slopes(self) -> Slopes:
+        """`jacobian` with its normal matrix."""
+        return Slopes.of(self.jacobian)
+
     def with_effect(self, effect: Effect, theta: Floats | None = None) -> Point:
         """The model with one effect more, and with other parameters if there are any."""
         point = self.model.point
@@ -131,7 +136,7 @@ class Trials:
         if start is None:
             start = self._best_start(base.fit, screened, scored)
 
-        run = partial(base.fit.run, jacobian=base.jacobian, frozen=base.model.names, rounds=FITTING.trial_rounds)
+        run = partial(base.fit.run, jacobian=base.slopes, frozen=base.model.names, rounds=FITTING.trial_rounds)
         fitted, compensated = run(start, free), None
         if fitted is None or fitted.objective > base.model.objective:
             compensated = self._compensated(base, scored)
@@ -161,11 +166,12 @@ class Trials:
                 # none need be worse than without the effect: the fit is still on its way
                 found.append(fit.run(best.point, pairs, rounds=FITTING.relinearised_rounds))
             return found
-        jacobian = base.jacobian
+        slopes = base.slopes
         if not base.model.point.two_mass:
             # a two-mass model answers to the arm's parameters much as the rigid one does
-            jacobian = fit.whitened(fit.derivatives(Point(self.mechanism.start, base.model.point.effects), frozen))
-        return [fit.run(at, free, jacobian=jacobian, frozen=frozen, rounds=FITTING.two_mass_rounds) for at in starts]
+            nominal = Point(self.mechanism.start, base.model.point.effects)
+            slopes = Slopes.of(fit.whitened(fit.derivatives(nominal, frozen)))
+        return [fit.run(at, free, jacobian=slopes, frozen=frozen, rounds=FITTING.two_mass_rounds) for at in starts]
 
     def _compensated(self, base: Base, scored: Scored) -> Point | None:
         """The model with an effect as screened, and parameters that answer to it by slopes: they may look alike."""
@@ -186,7 +192,7 @@ class Trials:
         slope = (errors - model.errors)[fit.rows] / FITTING.small_coefficients
         p = len(model.point.theta)
         precision = np.r_[np.ones(p), np.full(base.jacobian.shape[1] - p, FITTING.least_precision)]
-        answer = -np.linalg.solve(base.jacobian.T @ base.jacobian + np.diag(precision), base.jacobian.T @ slope)
+        answer = -np.linalg.solve(base.slopes.normal + np.diag(precision), base.jacobian.T @ slope)
         theta = self.mechanism.clip(model.point.theta + answer[:p] * self.mechanism.deviations)
         return base.with_effect(whole, theta)
 
@@ -195,7 +201,9 @@ class Trials:
         factor = occam.factor(scored, fit, fitted)
         gain = base.objective - fitted.objective - factor
         problem = self.implausible(fitted.point.effects[-1])
-        return Trial(scored, gain, self.validation_gain(fit, base, fitted, gain), fitted, factor, problem)
+        # the derivatives are the greatest part of it, and what is named is fitted again
+        kept = replace(fitted, jacobian=None)
+        return Trial(scored, gain, self.validation_gain(fit, base, fitted, gain), kept, factor, problem)
 
     @staticmethod
     def validation_gain(fit: PredictionFit, base: Fitted, fitted: Fitted, gain: float) -> float:
@@ -205,20 +213,36 @@ class Trials:
             return FITTING.untried
         return fit.validation_sum(base.errors) - fit.validation_sum(fitted.errors)
 
-    @staticmethod
-    def _best_start(fit: PredictionFit, screened: Point, scored: Scored) -> Point:
-        """The screened model, its threshold or stiffness the one that fits best of a few: no slope shows it."""
+    def _best_start(self, fit: PredictionFit, screened: Point, scored: Scored) -> Point:
+        """The screened model, its threshold or stiffness the one that fits best of a few: no slope shows it.
+
+        A missing effect may have stretched the parameters that the screening took it by. One mass is quick enough to
+        try the sizes that machines have, at these parameters and at the nominal ones.
+        """
         if not _fixed(scored):
             return screened
         number, name = len(screened.effects) - 1, next(iter(scored.values or ()))
         value, best, least = screened.effects[-1].values[name], screened, np.inf
-        for share in FITTING.threshold_starts:
-            effects = with_value(screened.effects, number, name, share * value, clip=True)
-            point = Point(screened.theta, effects or screened.effects)
+        starts = [(screened.theta, share * value) for share in FITTING.threshold_starts]
+        if not screened.two_mass:
+            sizes = self._sizes(screened.effects[-1], name)
+            starts += [(theta, size) for theta in (screened.theta, self.mechanism.start) for size in sizes]
+        for theta, size in starts:
+            effects = with_value(screened.effects, number, name, size, clip=True)
+            point = Point(theta, effects or screened.effects)
             errors = fit.errors(point)
             if errors is not None and (objective := fit.objective(errors, point)) < least:
                 best, least = point, objective
         return best
+
+    def _sizes(self, effect: Effect, name: str) -> list[float]:
+        """Sizes of a parameter from the least to the greatest that a machine has, evenly in their logarithm."""
+        plausible = {each: (low, high) for each, low, high in effect.kind.plausible}
+        scale = self.mechanism.effect_scale(effect.kind.parameter(name).unit, (effect.joint or 1) - 1)
+        if name not in plausible or scale is None:
+            return []
+        low, high = plausible[name]
+        return [float(size) for size in np.geomspace(low * scale, high * scale, FITTING.threshold_sizes)]
 
     def free(self, point: Point) -> Pairs:
         """All free parameters of the effects of a model."""
@@ -241,39 +265,37 @@ class Trials:
         return self.mechanism.plant(self.mechanism.start, (effect,)).effects[-1]
 
     def implausible(self, effect: Effect) -> str | None:
-        """Why an effect can be none of this machine, None where it may be one; only the arm's sizes are known."""
-        if self.problem.sampled.joints != 3:
-            return self._no_wave(effect)
+        """Why an effect can be none of this machine, None where it may be one."""
+        bound = self._on_bound(effect)
+        if bound is not None:
+            return bound
+        joints = [effect.joint - 1] if effect.joint is not None else list(range(self.mechanism.joints))
+        small: list[str | None] = []
         for name, low, high in effect.kind.plausible:
-            value = effect.values.get(name)
-            if value is None:
+            value, parameter = effect.values.get(name), effect.kind.parameter(name)
+            scales = [self.mechanism.effect_scale(parameter.unit, j) for j in joints]
+            known = [scale for scale in scales if scale is not None]
+            if value is None or not known:
                 continue
-            if value > FITTING.above_plausible * high and not effect.kind.parameter(name).inverse:
-                return f"{_IMPOSSIBLE}: {name} {value:.3g}, more than any machine has ({high:.3g})"
-            if effect.kind.parameter(name).role is Role.RATE and value < low / FITTING.below_plausible:
-                return f"{_IMPOSSIBLE}: {name} {value:.3g}, less than any machine has ({low:.3g})"
-        return self._too_small(effect)
+            least, most = low * min(known), high * max(known)
+            less = f"{_IMPOSSIBLE}: {name} {value:.3g}, less than any machine has ({least:.3g})"
+            if value > FITTING.above_plausible * most and not parameter.inverse:
+                return f"{_IMPOSSIBLE}: {name} {value:.3g}, more than any machine has ({most:.3g})"
+            if parameter.role is Role.RATE and value < least / FITTING.below_plausible:
+                return less
+            if parameter.role is Role.SIZE:
+                small.append(None if abs(value) >= least / FITTING.below_plausible else less)
+        # too small only if all of its sizes are
+        return small[-1] if small and all(small) else None
 
-    def _no_wave(self, effect: Effect) -> str | None:
-        """Why waves over the position are none: they are longer than the joint can go twice."""
-        if "period" not in effect.values or effect.joint is None:
-            return None
-        period, (low, high) = effect.values["period"], self.mechanism.ranges[effect.joint - 1]
-        far = FITTING.above_plausible * (high - low)
-        return f"{_IMPOSSIBLE}: period {period:.3g}, more than the joint can go ({far:.3g})" if period > far else None
-
-    @staticmethod
-    def _too_small(effect: Effect) -> str | None:
-        """Why an effect is less than any machine has, if all of its sizes are."""
-        found = None
-        for name, low, _ in effect.kind.plausible:
-            if effect.kind.parameter(name).role is not Role.SIZE:
-                continue
-            value = abs(effect.values.get(name, np.inf))
-            if value >= low / FITTING.below_plausible:
-                return None
-            found = f"{_IMPOSSIBLE}: {name} {value:.3g}, less than any machine has ({low:.3g})"
-        return found
+    def _on_bound(self, effect: Effect) -> str | None:
+        """Why a parameter that was fitted has no value: it stands on a bound of its law, zero apart, which is none."""
+        for name in self.names(effect, effect.values):
+            parameter, value = effect.kind.parameter(name), effect.values[name]
+            for bound in (parameter.low, parameter.high):
+                if bound != 0.0 and abs(value - bound) <= FITTING.at_bound * abs(bound):
+                    return f"{_IMPOSSIBLE}: {name} on the bound {bound:.3g} of what its law allows"
+        return None
 
 
 def _is_fitted(parameter: Parameter) -> bool:

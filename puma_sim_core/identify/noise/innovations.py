@@ -14,9 +14,9 @@ import numpy as np
 from scipy import fft
 from scipy.optimize import nnls
 
-from puma_sim_core.identify.arrays import Complexes, Floats, log_rows, runs
+from puma_sim_core.identify.arrays import Floats, log_rows, runs
 from puma_sim_core.identify.fitting.predictor import Predictor
-from puma_sim_core.identify.noise.weighting import Weighting
+from puma_sim_core.identify.noise.weighting import Weighting, folded_response
 from puma_sim_core.identify.settings import NOISE
 
 
@@ -34,7 +34,7 @@ def weighting(predictor: Predictor, errors: Floats, before: Weighting | None = N
     errors (N, J) : the innovations, in the weighting `before`, which is undone; only rows to fit are read.
     """
     filters = np.array([noise(predictor, errors[:, j], j, before).taps for j in range(errors.shape[1])])
-    return Weighting(filters, np.ones(len(filters)), predictor.lengths)
+    return Weighting(filters, np.ones(len(filters)), predictor.lengths, predictor.settling)
 
 
 def noise(predictor: Predictor, errors: Floats, j: int, before: Weighting | None = None) -> Noise:
@@ -45,10 +45,10 @@ def noise(predictor: Predictor, errors: Floats, j: int, before: Weighting | None
     spectra = _sources(predictor, j, frequency)
     passed = np.ones(len(frequency))
     if before is not None:
-        passed = np.abs(_response(before.filters[j], size) / before.scale[j]) ** 2
+        passed = np.abs(folded_response(before.filters[j], size) / before.scale[j]) ** 2
     f, power = _periodogram(predictor, errors, j)
     weights = _weights(frequency, spectra * passed, f, power)
-    least = 2.0 * step * predictor.least[j] ** 2 * np.abs(_response(predictor.responses[j], size)) ** 2
+    least = 2.0 * step * predictor.least[j] ** 2 * np.abs(folded_response(predictor.responses[j], size)) ** 2
     spectrum = weights @ spectra + least
     likelihood = 0.0
     if len(f):
@@ -58,17 +58,10 @@ def noise(predictor: Predictor, errors: Floats, j: int, before: Weighting | None
     return Noise(_whitening(spectrum, step, size), likelihood)
 
 
-def _response(taps: Floats, size: int) -> Complexes:
-    """(size / 2 + 1,) response of a filter at the frequencies of a transform."""
-    folded = np.zeros(-(-len(taps) // size) * size)
-    folded[: len(taps)] = taps
-    return np.fft.rfft(folded.reshape(-1, size).sum(axis=0))
-
-
 def _sources(predictor: Predictor, j: int, frequency: Floats) -> Floats:
     """(k, f) spectra [rad^2/Hz] of unit sources in the innovations of a joint."""
     step, response = predictor.step, predictor.responses[j]
-    passed = np.abs(_response(response, 2 * (len(frequency) - 1))) ** 2
+    passed = np.abs(folded_response(response, 2 * (len(frequency) - 1))) ** 2
     white = np.full(len(frequency), 2.0 * step)
     # with both noises as the predictor assumes them, innovations are white: less the voltage's, the sensor's is left
     volts = white * passed
@@ -78,26 +71,44 @@ def _sources(predictor: Predictor, j: int, frequency: Floats) -> Floats:
     for time in NOISE.spectrum_lasting:
         decay = np.exp(-step / time)
         parts.append(volts * (1.0 - decay**2) / np.abs(1.0 - decay * np.exp(-2j * np.pi * frequency * step)) ** 2)
+    for centre in NOISE.spectrum_humps:
+        if centre * step < NOISE.spectrum_highest_hump:
+            away = frequency / centre - centre / np.maximum(frequency, 1e-3 * centre)
+            parts.append(volts / (1.0 + (NOISE.spectrum_quality * away) ** 2))
     # each of a unit's variance, so that weights are of one size
     spectra: Floats = np.array(parts)
     return spectra / spectra.mean(axis=1, keepdims=True)
 
 
 def _periodogram(predictor: Predictor, errors: Floats, j: int) -> tuple[Floats, Floats]:
-    """Frequencies [Hz] and power [rad^2/Hz] of all runs of rows to fit, in the order of the frequencies."""
+    """Frequencies [Hz] and power [rad^2/Hz] of the rows to fit, in the order of the frequencies.
+
+    Runs are cut into overlapping segments (Welch 1967, IEEE Trans. Audio Electroacoust. 15:70): what happens in one of
+    them, such as an impact, moves no median.
+    """
     step, fitted = predictor.step, predictor.fit_rows[:, j]
     found = []
     for rows in log_rows(predictor.lengths):
         for a, b in runs(fitted[rows]):
-            if (b - a) * step >= NOISE.spectrum_shortest:
-                taper = np.hanning(b - a)
-                power = np.abs(np.fft.rfft(errors[rows][a:b] * taper)) ** 2
-                found.append((fft.rfftfreq(b - a, step)[1:], power[1:] * 2.0 * step / (taper @ taper)))
+            for first, last in _segments(a, b, round(NOISE.spectrum_longest / step)):
+                if (last - first) * step >= NOISE.spectrum_shortest:
+                    taper = np.hanning(last - first)
+                    power = np.abs(np.fft.rfft(errors[rows][first:last] * taper)) ** 2
+                    density = power[1:] * 2.0 * step / (taper @ taper)
+                    found.append((fft.rfftfreq(last - first, step)[1:], density))
     if not found:
         return np.zeros(0), np.zeros(0)
     f, p = (np.concatenate(parts) for parts in zip(*found))
     order = np.argsort(f, kind="stable")
     return f[order], p[order]
+
+
+def _segments(first: int, last: int, longest: int) -> list[tuple[int, int]]:
+    """Segments of a run of rows, of equal length up to `longest`, each from the middle of the one before."""
+    count = max(1, int(np.ceil(2.0 * (last - first) / longest)) - 1)
+    length = 2.0 * (last - first) / (count + 1)
+    starts = first + 0.5 * length * np.arange(count)
+    return [(round(start), round(start + length)) for start in starts.tolist()]
 
 
 def _weights(frequency: Floats, spectra: Floats, f: Floats, power: Floats) -> Floats:

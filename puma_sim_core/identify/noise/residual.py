@@ -129,11 +129,15 @@ class Whitener:
         self.rows = rows
         covariance = covariance * np.where(np.arange(len(covariance)) == 0, 1.0 + NOISE.residual_jitter, 1.0)
         self._blocks = []
+        factors: dict[bytes, Floats] = {}  # rows without a gap are alike, and so are their factors
         for log in rows_of_segments(segment):
             for start in range(log.start, log.stop, NOISE.residual_block):
                 block = slice(start, min(start + NOISE.residual_block, log.stop))
-                distance = np.abs(place[block, None] - place[None, block])
-                self._blocks.append((block, cholesky(covariance[distance], lower=True)))
+                key = (place[block] - place[start]).tobytes()
+                if key not in factors:
+                    distance = np.abs(place[block, None] - place[None, block])
+                    factors[key] = cholesky(covariance[distance], lower=True)
+                self._blocks.append((block, factors[key]))
 
     def __call__(self, values: Floats) -> Floats:
         """Whitened rows (m, ...) of an array over all kept rows."""

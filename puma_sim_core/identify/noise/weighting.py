@@ -4,33 +4,47 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter, oaconvolve
+from scipy import fft
+from scipy.signal import lfilter
 
-from puma_sim_core.identify.arrays import Floats, log_rows
+from puma_sim_core.identify.arrays import Complexes, Floats, log_rows
 from puma_sim_core.identify.settings import NOISE
 
 
 @dataclass(frozen=True)
 class Weighting:
     """Filters (J, taps) that whiten innovations, what they are scaled by (J,), and the rows of each log: no filter
-    reaches from one into the next."""
+    reaches from one into the next, nor from the first `settling` rows of a log, where the predictor settles, on."""
 
     filters: Floats
     scale: Floats
     lengths: tuple[int, ...]
+    settling: int = 0
 
     def __call__(self, values: Floats) -> Floats:
         """(n, J, ...) innovations or their derivatives, white and of variance 1."""
         out = np.empty_like(values)
         for j in range(values.shape[1]):
             for rows in log_rows(self.lengths):
-                out[rows, j] = _filtered(self.filters[j], values[rows, j]) / self.scale[j]
+                settled = values[rows, j].copy()
+                settled[: self.settling] = 0.0
+                out[rows, j] = _filtered(self.filters[j], settled) / self.scale[j]
         return out
 
 
 def _filtered(taps: Floats, values: Floats) -> Floats:
     if len(taps) <= NOISE.whitening_direct:
         filtered: Floats = lfilter(taps, [1.0], values, axis=0)
-    else:
-        filtered = oaconvolve(values, taps.reshape(-1, *[1] * (values.ndim - 1)), axes=0)[: len(values)]
-    return filtered
+        return filtered
+    # transforms of rows that stand together in memory take half the time
+    columns = np.ascontiguousarray(np.moveaxis(values, 0, -1))
+    size = fft.next_fast_len(len(values) + len(taps) - 1, real=True)
+    filtered = fft.irfft(fft.rfft(columns, size) * fft.rfft(taps, size), size)[..., : len(values)]
+    return np.moveaxis(filtered, -1, 0)
+
+
+def folded_response(taps: Floats, size: int) -> Complexes:
+    """(size / 2 + 1,) response of a filter at the frequencies of a transform of `size` rows."""
+    folded = np.zeros(-(-len(taps) // size) * size)
+    folded[: len(taps)] = taps
+    return np.fft.rfft(folded.reshape(-1, size).sum(axis=0))

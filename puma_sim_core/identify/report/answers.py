@@ -8,8 +8,8 @@ import numpy as np
 from puma_sim_core.effects import KINDS
 from puma_sim_core.identify import result
 from puma_sim_core.identify.report.json import STAGES
-from puma_sim_core.identify.report.text import PART_WORDS, is_augmented, number, place, scale, shown_part
-from puma_sim_core.pages.text import unit_text
+from puma_sim_core.identify.report.text import PART_WORDS, is_augmented, shown_part
+from puma_sim_core.pages.text import number, place, scale, unit_text
 
 #: the verdicts in a word or two
 BADGES = {
@@ -29,20 +29,37 @@ def ties(e: result.Explanation) -> list[result.Hypothesis]:
 
 
 def rivals(e: result.Explanation) -> list[result.Ranked]:
-    """The other hypotheses, the best first, without those that contain an effect found and explain the same."""
-    own = {(each.name, each.joint) for each in ties(e)}
-    for effect in e.effects:
-        own.add((effect.name, effect.joint))
-        own |= {(kind.name, effect.joint) for kind in KINDS.values() if effect.name in kind.contains}
-    others = [each for each in e.ranking if (each.name, each.joint) not in own and math.isfinite(each.evidence)]
-    return sorted(others, key=lambda each: -each.evidence)
+    """Hypotheses that may be named and could stand in for what was found, the nearest first; where nothing was found,
+    all that may be, the best first. Without ties, and without those that contain an effect found."""
+    if not e.effects:
+        others = [each for each in e.ranking if each.possible and math.isfinite(each.evidence)]
+        return sorted(others, key=lambda each: -each.evidence)
+    tied = {(each.name, each.joint) for each in ties(e)}
+    others = [
+        each
+        for each in e.ranking
+        if each.possible
+        and each.against is not None
+        and math.isfinite(each.evidence)
+        and (each.name, each.joint) not in tied
+        and not (each.name in KINDS and each.against.name in KINDS[each.name].special_cases)
+    ]
+    return sorted(others, key=lambda each: lead(e, each))
 
 
-def lead(e: result.Explanation) -> float:
-    """Evidence by which the first effect, alone, is ahead of the best rival [nat]."""
-    first = e.effects[0]
-    alone = {(each.name, each.joint): each.evidence for each in e.ranking}
-    return alone.get((first.name, first.joint), first.evidence) - rivals(e)[0].evidence
+def lead(e: result.Explanation, rival: result.Ranked) -> float:
+    """Evidence by which an effect is ahead of one that could stand in for it [nat]."""
+    return (
+        next(each.evidence for each in e.effects if result.Hypothesis(each.name, each.joint) == rival.against)
+        - rival.evidence
+    )
+
+
+def told_next(e: result.Explanation) -> bool:
+    """Whether the next experiment tells apart all that is tied."""
+    offered = () if e.next_experiment is None else e.next_experiment.separate
+    tied = [result.Hypothesis(effect.name, effect.joint) for effect in e.effects if effect.tied_with]
+    return {*tied, *ties(e)} <= set(offered)
 
 
 def is_feigned(e: result.Explanation) -> bool:

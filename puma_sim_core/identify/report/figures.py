@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from puma_sim_core.effects import KINDS
-from puma_sim_core.identify.report.text import PART_WORDS, is_augmented, scale
+from puma_sim_core.identify.report.text import PART_WORDS, is_augmented
 from puma_sim_core.identify.result import Drawn, Explanation, NamedEffect, StageErrors
 from puma_sim_core.pages.figure import Figure, Layer
-from puma_sim_core.pages.text import unit_text
+from puma_sim_core.pages.text import scale, unit_text
 
 #: colour, width of the line and words of each stage
 _STAGES = {

@@ -8,8 +8,8 @@ import numpy as np
 from puma_sim_core.effects import KINDS
 from puma_sim_core.identify.report import answers, figures, tables, text
 from puma_sim_core.identify.result import NOTHING_MISSING, Explanation
+from puma_sim_core.pages import text as words
 from puma_sim_core.pages.page import environment, render
-from puma_sim_core.pages.text import unit_text
 
 #: the sections by the names of their macros, in the order of their weight
 _TITLES = {
@@ -18,6 +18,7 @@ _TITLES = {
     "shape": "What has no name",
     "errors": "How much better",
     "residual": "Residual before and after",
+    "agreement": "Same answer across logs",
     "ranking": "Why this, and not another",
     "whiteness": "What is left",
     "unseen": "What this record could not have shown",
@@ -37,10 +38,10 @@ _PAGES = environment(
         [each.joint or 1 for each in e.detectability]
         + [np.size(errors.position_rms.nominal) for errors in e.errors.values()]
     ),
-    unit=unit_text,
-    **dict(getmembers(text, isfunction)),
+    unit=words.unit_text,
+    **dict([*getmembers(words, isfunction), *getmembers(text, isfunction)]),
 )
-_PAGES.filters.update(effect_name=text.effect_name, gain=text.gain, hypothesis=text.hypothesis)
+_PAGES.filters.update(effect_name=words.effect_name, gain=text.gain, hypothesis=text.hypothesis)
 
 
 def page(explanation: Explanation) -> str:

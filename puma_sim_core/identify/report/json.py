@@ -38,6 +38,7 @@ def report_mapping(explanation: result.Explanation) -> dict[str, Any]:
             "cuts": [asdict(each) for each in e.cuts],
             "detectability": [_detectable(each) for each in e.detectability],
             "next_experiment": None if e.next_experiment is None else asdict(e.next_experiment),
+            "agreement": None if e.agreement is None else _agreement(e.agreement),
             "feedback_bias": None if e.feedback_bias is None else _feedback(e.feedback_bias),
             "ranking": [asdict(each) for each in e.ranking],
             "parameters": {
@@ -86,6 +87,31 @@ def _detectable(each: result.Detectable) -> dict[str, Any]:
     fields = asdict(each)
     excited = fields.pop("excited")
     return {**fields, "size": each.size if excited else result.NOT_EXCITED, "needed": each.size}
+
+
+def _agreement(found: result.Agreement) -> dict[str, Any]:
+    def interval(each: result.Interval | None) -> dict[str, Any] | None:
+        return None if each is None else {"value": each.value, "ci95": [each.low, each.high]}
+
+    effects = [
+        {
+            "name": effect.name,
+            "joint": effect.joint,
+            "states": effect.states,
+            "sizes": [
+                {
+                    "parameter": size.parameter,
+                    "unit": size.unit,
+                    "found": [interval(each) for each in size.found],
+                    "mean": interval(size.mean),
+                    **{name: getattr(size, name) for name in ("q", "p_value", "i2", "agrees")},
+                }
+                for size in effect.sizes
+            ],
+        }
+        for effect in found.effects
+    ]
+    return {"sentence": found.sentence, "logs": found.logs, "verdicts": found.verdicts, "effects": effects}
 
 
 def _feedback(found: result.FeedbackBias) -> dict[str, Any]:

@@ -16,8 +16,11 @@ REPORT, PAGE, MODEL = "report.json", "report.html", "model.yaml"
 _EXPECTED = "a folder for the report, there or to be made"
 
 
-def check_folder(folder: str | os.PathLike[str], inputs: Iterable[str | os.PathLike[str]] = ()) -> None:
-    """Refuse, before the work, a folder that cannot be written to or would overwrite an input.
+def check_folder(
+    folder: str | os.PathLike[str], inputs: Iterable[str | os.PathLike[str]] = (), *, force: bool = True
+) -> None:
+    """Refuse, before the work, a folder that cannot be written to or would overwrite an input; unless `force`, one
+    that holds a report.
 
     Raises
     ------
@@ -37,6 +40,16 @@ def check_folder(folder: str | os.PathLike[str], inputs: Iterable[str | os.PathL
         for other in inputs:
             if path.exists() and os.path.exists(other) and os.path.samefile(path, other):
                 raise RecordingError("is an input and would be overwritten", where=str(path), expected="another folder")
+    if not force and (folder / REPORT).exists():
+        raise RecordingError("holds a report", where=str(folder), expected="another folder, or --force to replace it")
+
+
+def texts_of(explanation: Explanation) -> dict[str, str]:
+    """File name -> content of report.json, report.html and, where there is a model, model.yaml."""
+    texts = {REPORT: report_text(explanation), PAGE: page(explanation)}
+    if explanation.model is not None:
+        texts[MODEL] = yaml_text(explanation.model.to_mapping())  # type: ignore[attr-defined]
+    return texts
 
 
 def write_explanation(explanation: Explanation, folder: str | os.PathLike[str]) -> list[Path]:
@@ -50,9 +63,7 @@ def write_explanation(explanation: Explanation, folder: str | os.PathLike[str]) 
     """
     folder = Path(folder)
     check_folder(folder)
-    texts = {REPORT: report_text(explanation), PAGE: page(explanation)}
-    if explanation.model is not None:
-        texts[MODEL] = yaml_text(explanation.model.to_mapping())  # type: ignore[attr-defined]
+    texts = texts_of(explanation)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as reason:

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from puma_sim_core.identify.report.json import STAGES
-from puma_sim_core.identify.report.text import effect_name, gain, hypothesis, listed, number, scale
-from puma_sim_core.identify.result import Detectable, Explanation, FeedbackBias, Hypothesis
-from puma_sim_core.pages.text import DASH, MINUS, SPACE, unit_text
+from puma_sim_core.identify.report.text import estimate, gain, hypothesis
+from puma_sim_core.identify.result import Agreement, Detectable, Explanation, FeedbackBias
+from puma_sim_core.pages.text import DASH, MINUS, SPACE, effect_name, listed, number, scale, unit_text
 
 _PARTS = {
     "held_out_logs": "Held-out logs, outside the analysis",
@@ -38,27 +38,38 @@ def errors(e: Explanation, quantity: str, base: str) -> tuple[str, list[tuple[st
 
 
 def ranking(e: Explanation) -> list[tuple[str, str, str, float, str]]:
-    """(class, hypothesis, gain, its share of the greatest [%], reason) of all hypotheses, the best first."""
-    reasons = {(each.name, each.joint): each.because for effect in e.effects for each in effect.ruled_out}
-    ranked = {(each.name, each.joint): (each.evidence, each.verdict) for each in e.ranking}
-    ranked |= {key: (math.nan, "") for key in reasons if key not in ranked}
+    """(class, hypothesis, gain, its share of the greatest [%], reason) of all hypotheses, the best first; look-alikes
+    that were not tried come last."""
     named = {(effect.name, effect.joint) for effect in e.effects}
     largest = max([1.0, *(each.evidence for each in e.ranking if math.isfinite(each.evidence))])
-    rows = []
-    for key, (evidence, verdict) in ranked.items():
-        ties = [effect for effect in e.effects if key in {(tie.name, tie.joint) for tie in effect.tied_with}]
-        kind, why = "", reasons.get(key) or verdict
+    rows, seen = [], set(named)
+    for each in e.ranking:
+        key = (each.name, each.joint)
+        seen.add(key)
+        kind, why = "", each.verdict
         if key in named:
-            kind, why = "named", verdict
-            if verdict in ("named", ""):
-                why = "Named: it explains the residual best."
-        elif ties or verdict == "tied":
-            kind, why = "tied", verdict
-            if verdict in ("tied", ""):
-                others = f" with {listed(hypothesis(effect, True) for effect in ties)}" if ties else ""
-                why = f"Tied{others}: this record cannot tell the two apart."
-        share = 100.0 * min(max(evidence, 0.0) / largest, 1.0) if math.isfinite(evidence) else 0.0
-        rows.append((kind, hypothesis(Hypothesis(*key)), gain(evidence), share, why[:1].upper() + why[1:] or DASH))
+            kind, why = "named", "named: it explains the residual best"
+        elif each.verdict == "tied" and each.against is not None:
+            kind, why = "tied", f"tied with {hypothesis(each.against, True)}: this record cannot tell the two apart"
+        share = 100.0 * min(max(each.evidence, 0.0) / largest, 1.0) if math.isfinite(each.evidence) else 0.0
+        rows.append((kind, hypothesis(each), gain(each.evidence), share, f"{why[:1].upper()}{why[1:]}."))
+    for other in (other for effect in e.effects for other in effect.ruled_out):
+        if (other.name, other.joint) not in seen:
+            seen.add((other.name, other.joint))
+            rows.append(("", hypothesis(other), DASH, 0.0, other.because[:1].upper() + other.because[1:]))
+    return rows
+
+
+def heterogeneity(found: Agreement) -> list[tuple[str, list[str], bool]]:
+    """(size, numbers, whether the logs agree) of the sizes that several logs give."""
+    rows = []
+    for effect in found.effects:
+        for size in effect.sizes:
+            if size.mean is not None and size.p_value is not None and size.q is not None and size.i2 is not None:
+                value, interval, unit = estimate(size.mean)
+                p = "< 0.0001" if size.p_value < 1e-4 else number(size.p_value, 2)
+                numbers = [f"{value} {unit}".strip(), interval, number(size.q), p, f"{100.0 * size.i2:.0f} %"]
+                rows.append((f"{hypothesis(effect)}, {size.parameter.replace('_', ' ')}", numbers, size.agrees))
     return rows
 
 

@@ -7,12 +7,14 @@ step in time, spectral lines in time and in motor angle. Each is a hypothesis wi
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, cast
 
 import numpy as np
 
-from puma_sim_core.effects.screening import VOLTAGE_COLUMN, Candidate, Signals
+from puma_sim_core.effects.screening import VOLTAGE_COLUMN, ByJoint, Candidate, Signals
 from puma_sim_core.identify.arrays import Complexes, Floats, Ints
 from puma_sim_core.identify.noise import innovations
 from puma_sim_core.identify.noise.weighting import Weighting
@@ -35,16 +37,35 @@ _ORDERS = np.round(np.arange(RESIDUALS.orders[0], RESIDUALS.orders[1] + 0.01, RE
 class Axis:
     """What a curve is drawn over.
 
-    coordinate (n,) : at all rows; knots (k,); columns (n, k) : of unit heights at the knots; way : how the axis acts,
-    in words after its name, "" for a plain curve.
+    coordinate (n,) : at all rows; knots (k,); make : makes the columns (n, k) of unit heights at the knots; way : how
+    the axis acts, in words after its name, "" for a plain curve.
     """
 
     name: str
     unit: str
     coordinate: Floats
     knots: Floats
-    columns: Floats
+    make: Callable[[], Floats]
     way: str = ""
+
+
+@dataclass(frozen=True)
+class _Columns(Sequence[dict[int, Floats]]):
+    """Columns (n, width) of a joint, made each time they are read: those of all curves of a long log would take
+    gigabytes."""
+
+    joint: int
+    width: int
+    make: Callable[[], Floats]
+
+    def __len__(self) -> int:
+        return self.width
+
+    def __getitem__(self, k: Any) -> Any:
+        return {self.joint: self.make()[:, k]}
+
+    def __iter__(self) -> Iterator[dict[int, Floats]]:
+        return ({self.joint: column} for column in self.make().T)
 
 
 def axes(signals: Signals, joint: int, position_unit: str = "rad") -> list[Axis]:
@@ -76,25 +97,25 @@ def axes(signals: Signals, joint: int, position_unit: str = "rad") -> list[Axis]
         even = np.linspace(low, high, RESIDUALS.knots)
         dense = np.quantile(values, np.linspace(*RESIDUALS.quantiles, RESIDUALS.knots))
         knots = 0.5 * (even + dense)
-        columns = hats(values, knots)
-        found.append(Axis(name, unit, values, knots, columns))
+        found.append(Axis(name, unit, values, knots, partial(hats, values, knots)))
         if name in ("position", "torque"):
-            found.append(Axis(name, unit, values, knots, columns * direction[:, None], _SIGNED))
+            found.append(Axis(name, unit, values, knots, partial(_signed, values, knots, direction), _SIGNED))
         if name == "position":
             fine = np.linspace(low, high, RESIDUALS.fine_knots)
-            found.append(Axis(name, unit, values, fine, hats(values, fine), _FINE))
+            found.append(Axis(name, unit, values, fine, partial(hats, values, fine), _FINE))
         if name in ("position", "voltage"):
             widths = (high - low) * np.array(RESIDUALS.play_widths)
             # Prandtl and Ishlinskii: a bank of play operators has the shape of any rate-independent hysteresis
-            plays = [play(np.ascontiguousarray(values), signals.segment, 0.5 * float(width)) for width in widths]
-            found.append(Axis(name, unit, values, widths, np.column_stack(plays), _HYSTERESIS))
+            found.append(
+                Axis(name, unit, values, widths, partial(_plays, values, signals.segment, widths), _HYSTERESIS)
+            )
     time = signals.time
     first, last = time.min(), time.max()
     count = np.clip((last - first) / RESIDUALS.time_knot, RESIDUALS.least_time_knots, RESIDUALS.most_time_knots)
     knots = np.linspace(first, last, int(count))
-    found.append(Axis("time", "s", time, knots, hats(time, knots)))
+    found.append(Axis("time", "s", time, knots, partial(hats, time, knots)))
     few = np.linspace(first, last, RESIDUALS.signed_time_knots)
-    found.append(Axis("time", "s", time, few, hats(time, few) * direction[:, None], _SIGNED))
+    found.append(Axis("time", "s", time, few, partial(_signed, time, few, direction), _SIGNED))
     return found
 
 
@@ -122,6 +143,16 @@ def play(values: Floats, segment: Ints, half: float) -> Floats:
 def hats(values: Floats, knots: Floats) -> Floats:
     """(n, k) piecewise-linear basis, constant beyond the ends."""
     return np.column_stack([np.interp(values, knots, column) for column in np.eye(len(knots))])
+
+
+def _signed(values: Floats, knots: Floats, direction: Floats) -> Floats:
+    """(n, k) `hats` with the sign of the velocity."""
+    return hats(values, knots) * direction[:, None]
+
+
+def _plays(values: Floats, segment: Ints, widths: Floats) -> Floats:
+    """(n, k) `play` of several widths."""
+    return np.column_stack([play(np.ascontiguousarray(values), segment, 0.5 * float(width)) for width in widths])
 
 
 @dataclass(frozen=True)
@@ -172,8 +203,9 @@ def curves(causal: CausalScreen, position_unit: str = "rad", joints: Collection[
     for j in (j for j in range(signals.joints) if joints is None or j + 1 in joints):
         height = RESIDUALS.height * float(signals.volts_per_torque[j] * signals.torque_scale[j])
         for axis in axes(signals, j, position_unit):
-            columns = axis.columns * (height / axis.knots[-1]) if axis.way == _HYSTERESIS else axis.columns
-            candidate = _candidate([{j: column} for column in columns.T], height, {"height": height})
+            scale = height / float(axis.knots[-1]) if axis.way == _HYSTERESIS else 1.0
+            columns = _Columns(j, len(axis.knots), partial(_scaled, axis.make, scale))
+            candidate = _candidate(columns, height, {"height": height})
             add(axis.name, j + 1, [(candidate, causal.columns(candidate))], axis, axis.way)
         add("line", j + 1, _time_lines(causal, j, height), None)
         add("time", j + 1, *_step(causal, j, height), _STEP)
@@ -184,6 +216,10 @@ def curves(causal: CausalScreen, position_unit: str = "rad", joints: Collection[
             # of currents that do not commutate evenly
             add("motor_angle", j + 1, _angle_lines(causal, j, height, torque / size), None, _WITH_TORQUE)
     return sorted(found, key=lambda curve: -curve.scored.gain)
+
+
+def _scaled(make: Callable[[], Floats], scale: float) -> Floats:
+    return make() * scale
 
 
 def again(causal: CausalScreen, curve: Curve) -> Curve:
@@ -247,13 +283,22 @@ def noise(causal: CausalScreen, found: list[Curve]) -> Weighting:
             if worth > most:
                 best, most = noise_left, worth
         taps.append(best.taps)
-    return Weighting(np.array(taps), np.ones(len(taps)), predictor.lengths)
+    return Weighting(np.array(taps), np.ones(len(taps)), predictor.lengths, predictor.settling)
 
 
-def _candidate(columns: Sequence[dict[int, Floats]], height: float, grid: dict[str, float], p: int = 0) -> Candidate:
+def noise_after(causal: CausalScreen, curve: Curve) -> Weighting:
+    """The weighting by what is left of each joint after a curve."""
+    left = causal.left(curve.scored.estimate)
+    return innovations.weighting(causal.predictor, left, causal.fit.weighting)
+
+
+def _candidate(columns: Sequence[ByJoint], height: float, grid: dict[str, float], p: int = 0) -> Candidate:
     """A curve with a prior on its heights [V]. p : number of these, where there are no columns."""
     p = p or len(columns)
-    return Candidate(tuple(columns), VOLTAGE_COLUMN, np.zeros(p), np.full(p, height), lambda heights: {}, grid)
+    # lazy columns are read as a tuple is
+    return Candidate(
+        cast(tuple[ByJoint, ...], columns), VOLTAGE_COLUMN, np.zeros(p), np.full(p, height), lambda heights: {}, grid
+    )
 
 
 def _step(causal: CausalScreen, j: int, height: float) -> tuple[Pairs, Axis]:
@@ -263,7 +308,7 @@ def _step(causal: CausalScreen, j: int, height: float) -> tuple[Pairs, Axis]:
 
     def at(places: Floats) -> list[tuple[Candidate, Columns]]:
         grids = [{"height": height, "time": float(place)} for place in places]
-        steps = [_candidate([{j: (time > grid["time"]).astype(float)}], height, grid) for grid in grids]
+        steps = [_candidate(_Columns(j, 1, partial(_after, time, grid["time"])), height, grid) for grid in grids]
         return [(candidate, causal.columns(candidate)) for candidate in steps]
 
     def best(pairs: Pairs) -> Candidate:
@@ -276,8 +321,13 @@ def _step(causal: CausalScreen, j: int, height: float) -> tuple[Pairs, Axis]:
     about = best(coarse).grid["time"]
     pairs = coarse + at(np.linspace(about - apart, about + apart, RESIDUALS.steps_about + 1)[1:-1])
     candidate = best(pairs)
-    knots = np.array([first, candidate.grid["time"], candidate.grid["time"], last])
-    return pairs, Axis("time", "s", time, knots, candidate.columns[0][j][:, None], _STEP)
+    place = candidate.grid["time"]
+    return pairs, Axis("time", "s", time, np.array([first, place, place, last]), partial(_after, time, place), _STEP)
+
+
+def _after(time: Floats, place: float) -> Floats:
+    """(n, 1) a step at a time."""
+    return (time > place).astype(float)[:, None]
 
 
 def _time_lines(causal: CausalScreen, j: int, height: float) -> _Lines:
@@ -315,11 +365,16 @@ def _angle_lines(causal: CausalScreen, j: int, height: float, factor: Floats | f
     pairs = []
     for order in _ORDERS:
         if (order * speed < causal.problem.sampled.cutoffs[1]).mean() >= RESIDUALS.least_order_rows:
-            phase = order * signals.gear[j] * signals.position[:, j]
-            columns = [{j: factor * np.sin(phase)}, {j: factor * np.cos(phase)}]
-            candidate = _candidate(columns, height, {"order": float(order)})
+            make = partial(_waves, order * signals.gear[j], signals.position[:, j], factor)
+            candidate = _candidate(_Columns(j, 2, make), height, {"order": float(order)})
             pairs.append((candidate, causal.columns(candidate)))
     return pairs
+
+
+def _waves(turns: float, position: Floats, factor: Floats | float) -> Floats:
+    """(n, 2) sine and cosine over a position, times a factor."""
+    phase = turns * position
+    return np.column_stack([factor * np.sin(phase), factor * np.cos(phase)])
 
 
 def describe(best: Curve, ranking: tuple[tuple[str, float], ...]) -> Shape:

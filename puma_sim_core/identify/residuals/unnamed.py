@@ -9,7 +9,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from puma_sim_core.identify.arrays import Floats
-from puma_sim_core.identify.fitting.prediction import Fitted, Pairs, Point, PredictionFit
+from puma_sim_core.identify.fitting.prediction import Fitted, Pairs, Point, PredictionFit, Slopes
 from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.noise.weighting import Weighting
 from puma_sim_core.identify.residuals import shape
@@ -81,13 +81,16 @@ class Unnamed:
         assert curve is not None
         if volts is not None:
             causal = self._causal(point, bare.names, causal.fit.weighting, volts)
-        noise = shape.noise(causal, [shape.again(causal, curve)])
+        # in the noise that the curve leaves, never in that of the bare model, which counts what is missing as noise
+        noise = shape.noise_after(causal, shape.again(causal, curve))
         causal = self._causal(point, bare.names, noise, volts)
         best = shape.again(causal, curve)
         j = best.joint - 1
         rows = self.predictor.fit_rows[:, j]
         left = causal.left(best.scored.estimate)[rows, j]
-        names = noise(self._raw(named.point))[rows, j]
+        # the names fitted in the same noise as the curve
+        again, _ = PredictionFit(self.predictor, noise).to_end(named.point, named.names, times=1)
+        names = again.errors[rows, j]
         return curve_preferred(float(left @ left), float(names @ names), best.scored.occam, remains)
 
     def _about(self, final: Fitted, joints: Collection[int] | None = None) -> tuple[CausalScreen, list[Curve]]:
@@ -130,7 +133,7 @@ class Unnamed:
         for causal, found in about:
             # where parameters stay near, so do derivatives by them; those of two masses take long
             anew = stretched and not causal.point.two_mass
-            jacobian = None if anew else causal.jacobian[causal.fit.rows]
+            jacobian = None if anew else Slopes.of(causal.jacobian[causal.fit.rows])
             free, frozen = (final.names, ()) if anew else ((), final.names)
             for curve in shape.best_of_joints(found, RESIDUALS.rival_share):
                 volts = curve.volts(causal)

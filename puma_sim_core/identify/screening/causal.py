@@ -9,16 +9,16 @@ columns are averaged over blocks of rows that are short beside anything the colu
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import solve_triangular
 
 from puma_sim_core.effects import Kind
 from puma_sim_core.effects.screening import TORQUE_COLUMN, Candidate, Signals
-from puma_sim_core.identify.arrays import Complexes, Floats, log_rows
+from puma_sim_core.identify.arrays import Complexes, Floats, cholesky, log_rows, solved
 from puma_sim_core.identify.data.sampling import Trajectory
 from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
 from puma_sim_core.identify.screening.evidence import Entry, Estimate, Scored, log_gain, score, scored_of
@@ -47,6 +47,7 @@ class CausalScreen:
         self.block = max(1, int(SCREENING.causal_block / self.predictor.step))
         self.errors = errors
         self._spectra: dict[tuple[int, int], tuple[int, Complexes]] = {}
+        self._foldings: dict[tuple[int, int], tuple[int, Complexes]] = {}
         rows = fit.rows
         self.J = errors.shape[1]
         self.lengths = self.predictor.lengths
@@ -59,12 +60,12 @@ class CausalScreen:
         m = fit.mechanism
         prior = np.full(p, SCREENING.causal_precision)
         prior[: len(m.start)] = 1.0
-        self.factor = cho_factor(np.diag(prior) + sum(N.T @ N for N in self.N), lower=True)
+        self.factor = cholesky(np.diag(prior) + sum(N.T @ N for N in self.N))
         # the gradient of the prior: the fit need not have come to its very end
         pull = np.zeros(p)
         pull[: len(m.start)] = (point.theta - m.start) / m.deviations
         self.Ny = self._nuisance(self.y) + pull
-        self.scaled = cho_solve(self.factor, self.Ny)
+        self.scaled = solved(self.factor, self.Ny)
         self.signals = self._signals()
 
     def _nuisance(self, ys: Sequence[Floats]) -> Floats:
@@ -109,7 +110,38 @@ class CausalScreen:
 
     def columns(self, candidate: Candidate) -> Columns:
         """Joint -> (b, p) whitened innovations that unit coefficients would make, in blocks."""
-        return {j: self._blocks(full, j) for j, full in self._innovations(candidate).items()}
+        return {j: self._in_blocks(volts, j) for j, volts in self._volts(candidate).items()}
+
+    def _in_blocks(self, volts: Floats, joint: int) -> Floats:
+        """(b, p) whitened innovations of voltages (N, p), in blocks: `_blocks` of what `_innovations` makes of them.
+
+        Means over blocks are a filter, of whose output each `block`-th row is taken: what folds its spectrum.
+        """
+        parts, block = [], self.block
+        for rows in log_rows(self.lengths):
+            count = (rows.stop - rows.start) // block
+            size, spectrum = self._folding(joint, rows.stop - rows.start)
+            X = rfft(np.ascontiguousarray(volts[rows].T), size) * spectrum
+            half, length = size // block // 2, size // block
+            folded = X[:, : half + 1].copy()
+            for n in range(1, block):
+                # above the highest frequency stand the conjugates
+                part = X[:, n * length : n * length + half + 1]
+                if 2 * n >= block:
+                    part = X[:, size - n * length - half : size - n * length + 1][:, ::-1].conj()
+                folded += part
+            parts.append(irfft(folded, length)[:, :count].T)
+        return np.concatenate(parts)[self.usable[joint]] * (np.sqrt(block) / block)
+
+    def _folding(self, joint: int, rows: int) -> tuple[int, Complexes]:
+        """Size of the transforms of so many rows, a multiple of two blocks, and the transform (f,) of the response
+        averaged over a block from a row on."""
+        if (joint, rows) not in self._foldings:
+            response = np.convolve(self._response(joint), np.full(self.block, 1.0 / self.block))
+            size = 2 * self.block * next_fast_len(-(-(rows + len(response)) // (2 * self.block)), real=True)
+            turn = np.exp(2j * np.pi * np.arange(size // 2 + 1) * ((self.block - 1) / size))
+            self._foldings[joint, rows] = size, rfft(response, size) * turn
+        return self._foldings[joint, rows]
 
     def left(self, best: Estimate | None = None) -> Floats:
         """(N, J) innovations after whitening at the rows to fit, 0 elsewhere, that a hypothesis leaves when the
@@ -118,7 +150,7 @@ class CausalScreen:
         if best is not None:
             made = {j: x @ best.coefficients for j, x in self._innovations(best.entry.candidate).items()}
         pulled = self.Ny - sum(self.N[j].T @ self._blocks(x[:, None], j)[:, 0] for j, x in made.items())
-        left = self.errors - self.jacobian @ cho_solve(self.factor, pulled)
+        left = self.errors - self.jacobian @ solved(self.factor, pulled)
         for j, x in made.items():
             left[:, j] -= x
         return np.where(self.fit.rows, left, 0.0)
@@ -131,8 +163,8 @@ class CausalScreen:
                 out[:, j] += c * values
         return out * self.signals.enable
 
-    def _innovations(self, candidate: Candidate) -> dict[int, Floats]:
-        """Joint -> (N, p) whitened innovations that unit coefficients would make."""
+    def _volts(self, candidate: Candidate) -> dict[int, Floats]:
+        """Joint -> (N, p) voltages [V] of unit coefficients."""
         s, out = self.signals, by_joint(candidate, len(self.signals.time))
         for j, full in out.items():
             if candidate.unit == TORQUE_COLUMN:
@@ -140,11 +172,18 @@ class CausalScreen:
                 if s.lag[j] > 0.0:
                     full = full + s.lag[j] * np.gradient(full, s.step, axis=0)
             full *= s.enable[:, j : j + 1]
+            out[j] = full
+        return out
+
+    def _innovations(self, candidate: Candidate) -> dict[int, Floats]:
+        """Joint -> (N, p) whitened innovations that unit coefficients would make."""
+        out = self._volts(candidate)
+        for j, full in out.items():
             for rows in log_rows(self.lengths):
                 n = rows.stop - rows.start
                 size, spectrum = self._spectrum(j, n)
-                full[rows] = irfft(rfft(full[rows], size, axis=0) * spectrum, size, axis=0)[:n]
-            out[j] = full
+                columns = np.ascontiguousarray(full[rows].T)
+                full[rows] = irfft(rfft(columns, size) * spectrum, size)[:, :n].T
         return out
 
     def _response(self, joint: int) -> Floats:
@@ -153,11 +192,11 @@ class CausalScreen:
         return np.convolve(self.predictor.responses[joint], w.filters[joint]) / w.scale[joint]
 
     def _spectrum(self, joint: int, rows: int) -> tuple[int, Complexes]:
-        """Size of the transforms that convolve so many rows, and the response's one (f, 1)."""
+        """Size of the transforms that convolve so many rows, and the response's one (f,)."""
         if (joint, rows) not in self._spectra:
             response = self._response(joint)
             size = next_fast_len(rows + len(response) - 1, real=True)
-            self._spectra[joint, rows] = size, rfft(response, size)[:, None]
+            self._spectra[joint, rows] = size, rfft(response, size)
         return self._spectra[joint, rows]
 
     def pairs(self, kind: Kind, joint: int | None) -> list[tuple[Candidate, Columns]]:
@@ -170,12 +209,27 @@ class CausalScreen:
 
     def score_columns(self, name: str, joint: int | None, pairs: Pairs) -> Scored | None:
         """`score` for (candidate, its columns) pairs."""
-        rows = []
-        for c, X in pairs:
-            G, NX = self.gram_of(X)
-            b = sum(x.T @ self.y[j] for j, x in X.items()) - NX.T @ self.scaled
-            rows.append(score(Entry(0, c, slice(0, len(c.mean))), G, b))
+        found = self.products(pairs, self.y, self.scaled)
+        rows = [score(Entry(0, c, slice(0, len(c.mean))), G, b) for c, G, b in found]
         return scored_of(name, joint, rows) if rows else None
+
+    def products(
+        self, pairs: Pairs, ys: Sequence[Floats], pulled: Floats
+    ) -> Iterator[tuple[Candidate, Floats, Floats]]:
+        """(candidate, X'PX (p, p), X'Py (p, ...)) of each pair.
+
+        ys : for each joint blocks (b, ...) of innovations; pulled (q, ...) : what the parameters make of them.
+        """
+        for group in _side_by_side(pairs):
+            X = {j: np.hstack([own[j] for _, own in group]) for j in group[0][1]}
+            NX: Floats = sum(self.N[j].T @ x for j, x in X.items())
+            shares = solve_triangular(self.factor, NX, lower=True, check_finite=False)
+            b = sum(x.T @ ys[j] for j, x in X.items()) - NX.T @ pulled
+            end = 0
+            for c, own in group:
+                at = slice(end, end := end + len(c.mean))
+                G: Floats = sum(x.T @ x for x in own.values()) - shares[:, at].T @ shares[:, at]
+                yield c, G, b[at]
 
     def placebos(self, shifts: Floats) -> Placebos:
         """The innovations, shifted in a circle by shares (k,) of their length."""
@@ -187,21 +241,16 @@ class CausalScreen:
         for j, x in own.items():
             left[j] -= x @ best.coefficients
         Ny = self._nuisance(left)
-        return self._placebos([y - N @ cho_solve(self.factor, Ny) for y, N in zip(left, self.N)], shifts)
+        return self._placebos([y - N @ solved(self.factor, Ny) for y, N in zip(left, self.N)], shifts)
 
     def _placebos(self, y: Sequence[Floats], shifts: Floats) -> Placebos:
         ys = [np.column_stack([np.roll(own, int(s * len(own))) for s in shifts]) for own in y]
-        return Placebos(self, ys, cho_solve(self.factor, self._nuisance(ys)))
+        return Placebos(self, ys, solved(self.factor, self._nuisance(ys)))
 
     def gram(self, candidate: Candidate) -> Floats:
         """(p, p) X'PX of a candidate."""
-        return self.gram_of(self.columns(candidate))[0]
-
-    def gram_of(self, X: Columns) -> tuple[Floats, Floats]:
-        """X'PX (p, p), and N'X."""
-        NX: Floats = sum(self.N[j].T @ x for j, x in X.items())
-        G: Floats = sum(x.T @ x for x in X.values()) - NX.T @ cho_solve(self.factor, NX)
-        return G, NX
+        ((_, found, _),) = self.products([(candidate, self.columns(candidate))], self.y, self.scaled)
+        return found
 
     def block_times(self, joint: int) -> Floats:
         """(b,) times [s] of the blocks of a joint."""
@@ -214,6 +263,20 @@ class CausalScreen:
         turn = np.exp(-2j * np.pi * np.outer(frequency, np.arange(len(taps))) * h)
         x = np.pi * np.asarray(frequency) * h * self.block
         return turn @ taps * np.sinc(x / np.pi) * np.sqrt(self.block)
+
+
+def _side_by_side(pairs: Pairs) -> Iterator[list[tuple[Candidate, Columns]]]:
+    """Pairs that follow each other on the same joints, as many as have `SCREENING.causal_together` columns together."""
+    group: list[tuple[Candidate, Columns]] = []
+    width = 0
+    for candidate, columns in pairs:
+        if group and (columns.keys() != group[0][1].keys() or width >= SCREENING.causal_together):
+            yield group
+            group, width = [], 0
+        group.append((candidate, columns))
+        width += len(candidate.mean)
+    if group:
+        yield group
 
 
 def placebo_shifts(seed: int) -> Floats:
@@ -234,9 +297,8 @@ class Placebos:
 
     def greatest(self, pairs: Pairs) -> float:
         """Greatest gain [nat] of a hypothesis by its (candidate, columns) pairs, 0 without any."""
-        gains = []
-        for c, X in pairs:
-            G, NX = self.screen.gram_of(X)
-            b = sum(x.T @ self.ys[j] for j, x in X.items()) - NX.T @ self.pulled
-            gains.append(log_gain(G, b, c.mean, c.deviation)[0] - np.log(c.tried))
+        gains = [
+            log_gain(G, b, c.mean, c.deviation)[0] - np.log(c.tried)
+            for c, G, b in self.screen.products(pairs, self.ys, self.pulled)
+        ]
         return float(np.max(np.logaddexp.reduce(gains) - np.log(len(gains)))) if gains else 0.0

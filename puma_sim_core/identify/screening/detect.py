@@ -10,26 +10,35 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from puma_sim_core.effects import Kind
+from puma_sim_core.effects import Effect, Kind
 from puma_sim_core.effects.screening import Candidate, Illegal
 from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.result import Detectable
 
 
 def detectable(
-    kind: Kind, joint: int | None, pairs: Iterable[tuple[Candidate, Floats]], threshold: float
+    kind: Kind,
+    joint: int | None,
+    pairs: Iterable[tuple[Candidate, Floats]],
+    threshold: float,
+    found: Effect | None = None,
 ) -> Detectable:
     """The row of one hypothesis.
 
-    pairs : (candidate, X'PX of its columns); threshold : gain of log evidence of a name [nat].
+    pairs : (candidate, X'PX of its columns); threshold : gain of log evidence of a name [nat]; found : the effect as
+    the log shows it, None where it does not.
     """
     limits = {p: (low, high) for p, low, high in kind.plausible}
     parameter = kind.parameter(next(iter(limits), kind.parameters[0].name))
     sizes = [size for c, G in pairs for size in _sizes(c, G, parameter.name, threshold)]
     # a small stiffness is a great effect: there the largest value that shows is the limit
-    size = (max if parameter.inverse else min)(sizes, default=np.inf)
+    least = max if parameter.inverse else min
+    size = least(sizes, default=np.inf)
+    if found is not None:
+        shown = abs(found.values[parameter.name])
+        size = shown if not np.isfinite(size) else least(size, shown)
     low, high = limits.get(parameter.name, (0.0, np.inf))
-    excited = bool(np.isfinite(size) and (size >= low if parameter.inverse else size <= high))
+    excited = found is not None or bool(np.isfinite(size) and (size >= low if parameter.inverse else size <= high))
     return Detectable(kind.name, joint, parameter.name, float(size), parameter.unit, excited)
 
 

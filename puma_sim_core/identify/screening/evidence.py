@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from puma_sim_core.effects.screening import Candidate, Illegal
-from puma_sim_core.identify.arrays import Floats, Ints
+from puma_sim_core.identify.arrays import Floats, Ints, cholesky, solved
 from puma_sim_core.identify.settings import SCREENING
 
 #: (name, joint 1-based, None for the whole arm) of an effect
@@ -181,13 +181,13 @@ def log_gain(G: Floats, b: Floats, mean: Floats, deviation: Floats) -> tuple[Flo
     Also the posterior mean of the coefficients, same shape as b, and their covariance (p, p).
     """
     mean = mean if b.ndim == 1 else mean[:, None]
-    factor = cho_factor(G + np.diag(1.0 / deviation**2), lower=True)
+    factor = cholesky(G + np.diag(1.0 / deviation**2))
     rest = b - G @ mean
-    moved = cho_solve(factor, rest)
+    moved = solved(factor, rest)
     shift = (mean * (b + rest)).sum(axis=0)
     gain = 0.5 * shift + 0.5 * (rest * moved).sum(axis=0)
-    gain -= float(np.log(np.diag(factor[0])).sum() + np.log(deviation).sum())
-    return gain, mean + moved, cho_solve(factor, np.eye(len(G)))
+    gain -= float(np.log(factor.diagonal()).sum() + np.log(deviation).sum())
+    return gain, mean + moved, solved(factor, np.eye(len(G)))
 
 
 def score(entry: Entry, G: Floats, b: Floats) -> Estimate:

@@ -64,11 +64,12 @@ def signals_of(
     )
 
 
-def hypotheses(library: Iterable[Kind], joints: int) -> Iterator[tuple[Kind, int | None]]:
-    """(effect, joint) of each hypothesis: joint 1-based, None for the whole arm."""
+def hypotheses(library: Iterable[Kind], mechanism: Mechanism) -> Iterator[tuple[Kind, int | None]]:
+    """(effect, joint) of each hypothesis that a mechanism may have: joint 1-based, None for the whole arm."""
     for kind in library:
-        for joint in range(1, joints + 1) if kind.per_joint else (None,):
-            yield kind, joint
+        for joint in range(1, mechanism.joints + 1) if kind.per_joint else (None,):
+            if mechanism.possible(kind.name, joint):
+                yield kind, joint
 
 
 def candidates(kind: Kind, joint: int | None, signals: Signals) -> list[Candidate]:
@@ -79,8 +80,9 @@ def candidates(kind: Kind, joint: int | None, signals: Signals) -> list[Candidat
 
 def by_joint(candidate: Candidate, rows: int) -> dict[int, Floats]:
     """Joint (0-based) -> (n, p) columns of a candidate, 0 where a coefficient does not act on it."""
-    out = {j: np.zeros((rows, len(candidate.mean))) for j in sorted({j for c in candidate.columns for j in c})}
-    for n, column in enumerate(candidate.columns):
+    columns = list(candidate.columns)
+    out = {j: np.zeros((rows, len(candidate.mean))) for j in sorted({j for column in columns for j in column})}
+    for n, column in enumerate(columns):
         for j, values in column.items():
             out[j][:, n] = values
     return out

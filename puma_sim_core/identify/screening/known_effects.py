@@ -33,6 +33,7 @@ from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.settings import SCREENING
 from puma_sim_core.jit import BACKEND, compiled, interpreted
 from puma_sim_core.plant.mechanism import Mechanism
+from puma_sim_core.plant.plant import Plant
 from puma_sim_core.simulation.delay import delay_of
 from puma_sim_core.simulation.run_inputs import native
 
@@ -141,40 +142,42 @@ def known_voltage(mechanism: Mechanism, theta: Floats, signals: Signals) -> Floa
     if not mechanism.effects:
         return total
     plant = mechanism.plant(theta)
-    hidden = 3 - joints
     active = plant.constants.active
     constants = plant.constants._replace(table=native(plant.constants.table))
     p = constants.table
     if active & SENSED:
         _add(total, [e for e in plant.effects if e.kind.acts == SENSING], signals, signals.torque)
-    taken = _torques(signals, constants, hidden)
+    taken = _torques(signals, constants, plant)
     total += np.stack([torque_volts(signals, j, taken[:, j]) for j in range(joints)], axis=1)
     torque, drive = signals.torque + taken, mechanism.drive(theta)
     current = torque * drive.volts_per_torque / drive.resistance
     _add(total, [e for e in plant.effects if e.kind.acts != SENSING], signals, torque)
-    total += _lost_before_the_motor(signals, current, active, p, hidden)
-    limit = np.array([_bound(j, p) for j in range(hidden, 3)])
+    total += _lost_before_the_motor(signals, current, active, p, plant)
+    limit = np.array([_bound(j, p) for j in plant.axes])
     motors = [torque_volts(signals, j, signals.torque[:, j]) for j in range(joints)]
     lacking = signals.voltage - (np.stack(motors, axis=1) + signals.emf * signals.velocity)
     limited = (np.abs(current) >= SCREENING.known_held * limit) & ((lacking - total) * current > 0.0)
     return np.where(limited, lacking, total) * signals.enable
 
 
-def _torques(signals: Signals, constants: Constants, hidden: int) -> Floats:
+def _torques(signals: Signals, constants: Constants, plant: Plant) -> Floats:
     """(n, J) torques that the effects take [N.m]."""
     speed = signals.velocity
     width = np.maximum(2.0 * signals.velocity_noise, 1e-9)
     motor = signals.torque - signals.viscous * speed
     begins = np.diff(signals.segment, prepend=signals.segment[0] - 1) != 0
     joints = (signals.position, speed, motor, speed / np.hypot(speed, width))
-    arrays = [signals.time, *(np.pad(values, ((0, 0), (hidden, 0))) for values in joints), begins.astype(float)]
+    position, *others = (plant.spread(values) for values in joints)
+    still = [axis for axis in range(3) if axis not in plant.axes]
+    position[:, still] = np.array(plant.rest)[still]
+    arrays = [signals.time, position, *others, begins.astype(float)]
     time, *columns = (a if BACKEND == "numba" else a.tolist() for a in arrays)
     out = np.zeros((len(signals.time), 3))
     _taken(_Motion(time, signals.step, *columns), constants, out)
-    return out[:, hidden:]
+    return out[:, plant.axes]
 
 
-def _lost_before_the_motor(signals: Signals, current: Floats, active: int, p: Sequence[float], hidden: int) -> Floats:
+def _lost_before_the_motor(signals: Signals, current: Floats, active: int, p: Sequence[float], plant: Plant) -> Floats:
     """(n, J) commanded less terminal voltage [V]."""
     late = delay_of(active, p)
     arriving = signals.voltage
@@ -183,12 +186,12 @@ def _lost_before_the_motor(signals: Signals, current: Floats, active: int, p: Se
         for rows in stretches(signals):
             for j in range(signals.joints):
                 arriving[rows, j] = np.interp(signals.time[rows] - late, signals.time[rows], signals.voltage[rows, j])
-    padded = np.pad(arriving, ((0, 0), (hidden, 0)))
+    padded = plant.spread(arriving)
     out = np.zeros_like(padded)
     _terminal(padded if BACKEND == "numba" else padded.tolist(), p, out)
-    terminal = out[:, hidden:]
+    terminal = out[:, plant.axes]
     if active & DROOP:
-        drawn = np.pad(current, ((0, 0), (hidden, 0))).tolist()
+        drawn = plant.spread(current).tolist()
         terminal = terminal * np.array([[_share(0, *row, p)] for row in drawn])
     return signals.voltage - terminal
 

@@ -101,6 +101,9 @@ class Search:
         key = (joint, weights.tobytes())
         if key not in self._whiteners:
             rows, covariance = self.problem.fit_rows(joint), weights @ self.sources[joint].covariances
+            # dense factors: those of the noises that were asked for last are kept
+            while len(self._whiteners) >= SCREENING.search_whiteners * len(self.sources):
+                del self._whiteners[next(iter(self._whiteners))]
             self._whiteners[key] = noise.Whitener(covariance, rows, self.place[rows], self.problem.segment[rows])
         return self._whiteners[key]
 
@@ -152,7 +155,7 @@ class Search:
         bank = Bank(p.sampled.joints)
         known = {(e.kind.name, e.joint) for e in p.mechanism.effects}
         slow = [kind for kind in self.library.values() if kind.screening is not None and not kind.screening.fast]
-        jobs = [(kind, joint) for kind, joint in hypotheses(slow, p.sampled.joints) if (kind.name, joint) not in known]
+        jobs = [(kind, joint) for kind, joint in hypotheses(slow, p.mechanism) if (kind.name, joint) not in known]
         for number, (kind, joint) in enumerate(jobs):
             self.progress("screening", 0.05 + 0.15 * number / len(jobs))
             bank.add(kind.name, joint, candidates(kind, joint, signals), lambda c: p.reduce(c, signals))

@@ -49,18 +49,18 @@ class ShortList:
         """By the innovations, best first."""
         found = [
             causal.score(kind, joint)
-            for kind, joint in hypotheses(self.library.values(), causal.J)
+            for kind, joint in hypotheses(self.library.values(), self.predictor.mechanism)
             if (kind.name, joint) not in keys
         ]
         return sorted((s for s in found if s is not None and _promising(s)), key=lambda s: -s.gain)
 
     def _related(self, short: list[Scored], keys: Collection[Key], causal: CausalScreen) -> list[Scored]:
-        """Effects that one which fits any single event contains, and effects that contain one of the best."""
+        """Effects that one of these contains, and effects that contain one of the best."""
         taken = {s.key for s in short} | set(keys)
         found = []
         top = max((s.gain for s in short), default=0.0)
         for s in short:
-            names = list(self.library[s.name].contains) if _screening(self.library[s.name]).generous else []
+            names = list(self.library[s.name].contains)
             if s.gain > SCREENING.short_list_family * top:
                 names += [k.name for k in self.library.values() if s.name in k.contains and not _screening(k).generous]
             for name in names:
@@ -74,7 +74,7 @@ class ShortList:
     def _without_power(self, taken: Collection[Key], keys: Collection[Key]) -> Iterator[Scored]:
         """At a joint far noisier than the others, effects that may be the noise: the screening has no power there."""
         two_mass = {joint for name, joint in keys if self.library[name].two_masses}
-        volts = self.predictor.volts
+        volts = self.predictor.expected
         for j in np.flatnonzero(volts > SCREENING.short_list_noisy * np.median(volts)).tolist():
             for name, kind in self.library.items():
                 values = dict(_screening(kind).unseen)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from puma_sim_core.identify.arrays import Bools, Floats
-from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
+from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit, Slopes
 from puma_sim_core.identify.fitting.predictor import Predictor, RowChoice
 from puma_sim_core.identify.noise.weighting import Weighting
 from puma_sim_core.identify.parallel import parallel_map
@@ -79,10 +79,36 @@ class CrossValidation:
         NaN without windows."""
         return self._windows(self._points(model))
 
-    def lower(self, model: WeightedModel, than: WeightedModel) -> bool:
-        """Whether a model leaves less of the windows than another, or there are no windows."""
-        one, other = (float((self.position_rms(m) ** 2).mean()) for m in (model, than))
-        return not one >= other
+    def better(self, model: WeightedModel, than: WeightedModel) -> bool:
+        """Whether a model predicts the folds better than another, or there is nothing to measure it at.
+
+        By the mean over the folds of the squared errors in windows. Where it is greater by less than two of its
+        standard errors, by the log predictive density of the innovations. Both models have one weighting.
+        """
+        one, other = self._points(model), self._points(than)
+        more = np.array([self._window_square(*pair) for pair in zip(self.folds, one)])
+        more -= [self._window_square(*pair) for pair in zip(self.folds, other)]
+        more = more[np.isfinite(more)]
+        if not len(more):
+            return True
+        error = more.std(ddof=1) / np.sqrt(len(more)) if len(more) > 1 else 0.0
+        if more.mean() < 0.0 or more.mean() > SELECTION.standard_errors * error:
+            return bool(more.mean() < 0.0)
+        return self._density(model, one) > self._density(than, other)
+
+    def _window_square(self, fold: Fold, point: Point) -> float:
+        """Mean square [rad^2 or m^2] of the errors in the windows of a fold, of all joints; NaN without windows."""
+        errors = fold.validation.window_errors(self._plant(point), "held_out")
+        return float((errors**2).mean()) if len(errors) else np.nan
+
+    def _density(self, model: WeightedModel, points: Sequence[Point]) -> float:
+        """Log predictive density [nat] of the folds by the model fitted to the others, but for a constant."""
+        total = 0.0
+        for fold, point in zip(self.folds, points):
+            fit = PredictionFit(fold.predictor, model.weighting)
+            errors = fit.errors(point)
+            total -= np.inf if errors is None else fit.validation_sum(errors)
+        return total
 
     def errors(self, models: Mapping[str, WeightedModel | Point], floor: Floats, noise: NoisePair) -> dict[str, Errors]:
         """Tables of errors: "held_out" of all folds, and where there are several "unseen", of the one alone that the
@@ -135,7 +161,7 @@ class CrossValidation:
             found = PredictionFit(fold.predictor, model.weighting).run(
                 point,
                 (),
-                jacobian=jacobian[fold.predictor.fit_rows][:, columns],
+                jacobian=Slopes.of(jacobian[fold.predictor.fit_rows][:, columns]),
                 frozen=tuple(pair for pair, is_free in zip(names, free) if is_free),
                 rounds=SELECTION.fold_rounds,
             )

@@ -4,16 +4,26 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import reduce
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
+
+import numpy as np
 
 from puma_sim_core.effects import Effect, Kind
-from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit, bounded
+from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit, Slopes, bounded
 from puma_sim_core.identify.fitting.trials import Trial, Trials
 from puma_sim_core.identify.screening.evidence import Key
 from puma_sim_core.identify.selection.state import Chosen, SelectionState, Stage, accepting
 from puma_sim_core.identify.settings import SELECTION
 
 Item = TypeVar("Item")
+
+
+class _Compared(NamedTuple):
+    """The model with an effect and without it; others : derivatives about the model by all else."""
+
+    full: Fitted
+    bare: Fitted
+    others: Slopes
 
 
 class Elimination:
@@ -36,21 +46,46 @@ class Elimination:
         """Replace effects that come out as one that they contain, whose fit may not have ended when tried. A pass."""
         return reduce(self._simplified, range(len(state.chosen)), state)
 
-    def _without_or_replaced(self, state: SelectionState, number: int) -> SelectionState | None:
-        """The state without one of its effects, or with a rival in its place; None where it stays."""
-        fit, point, chosen = PredictionFit(self.predictor, state.noise), state.model.point, state.chosen[number]
-        rest = _less(state.chosen, number)
+    def confirm(self, state: SelectionState) -> SelectionState:
+        """Remove effects that were accepted beside a noise that was refused and that the present noise does not ask
+        for; the others have no more than their gain in it. A pass."""
+        kept = list(state.chosen)
+        for number, chosen in enumerate(state.chosen):
+            found = self._compared(state, number) if chosen.stage.doubted else None
+            if found is None:
+                continue
+            gain = found.bare.objective - found.full.objective - chosen.occam
+            if gain < SELECTION.least_gain:
+                rest = _less(state.chosen, number)
+                return self.confirm(replace(state, model=found.bare, jacobian=None, chosen=rest))
+            kept[number] = replace(chosen, gain=min(chosen.gain, gain))
+        return replace(state, chosen=tuple(kept))
+
+    def _compared(self, state: SelectionState, number: int) -> _Compared | None:
+        """The model of a state with and without one of its effects; None where either cannot be fitted."""
+        fit, point = PredictionFit(self.predictor, state.noise), state.model.point
         pairs = self.trials.free(point)
         jacobian = fit.whitened(fit.derivatives(point, pairs))
-        full = fit.run(point, (), jacobian=jacobian, frozen=pairs)
+        full = fit.run(point, (), jacobian=Slopes.of(jacobian), frozen=pairs)
         without = Point(point.theta, _less(point.effects, number))
-        frozen = self.trials.free(without)
         first = len(point.theta)
         own = [first + k for k, (n, _) in enumerate(pairs) if n == number]
-        others = jacobian[:, [c for c in range(jacobian.shape[1]) if c not in own]]
-        bare = fit.run(without, (), jacobian=others, frozen=frozen)
-        if bare is None or full is None:
+        others = Slopes.of(np.delete(jacobian, own, axis=1))
+        bare = fit.run(without, (), jacobian=others, frozen=self.trials.free(without))
+        return None if bare is None or full is None else _Compared(full, bare, others)
+
+    def _without_or_replaced(self, state: SelectionState, number: int) -> SelectionState | None:
+        """The state without one of its effects, or with a rival in its place; None where it stays."""
+        fit, chosen, rest = (
+            PredictionFit(self.predictor, state.noise),
+            state.chosen[number],
+            _less(state.chosen, number),
+        )
+        found = self._compared(state, number)
+        if found is None:
             return None
+        full, bare, others = found
+        frozen = self.trials.free(bare.point)
         if bare.objective - full.objective - chosen.occam < SELECTION.least_gain:
             return self.eliminate(replace(state, model=bare, jacobian=None, chosen=rest))
         best: tuple[float, Trial, Fitted] | None = None

@@ -7,12 +7,15 @@ Each method is a pass: it takes a state of the selection and gives one with othe
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
+import numpy as np
+
 from puma_sim_core.effects import Effect, Kind
+from puma_sim_core.errors import ParameterError
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
 from puma_sim_core.identify.fitting.trials import Trial, Trials
 from puma_sim_core.identify.parallel import parallel_map
 from puma_sim_core.identify.selection.state import SelectionState
-from puma_sim_core.identify.settings import SELECTION
+from puma_sim_core.identify.settings import RESIDUALS, SELECTION
 
 
 class Refits:
@@ -32,6 +35,28 @@ class Refits:
                 return trial
             start = Point(simpler.point.theta, trial.fitted.point.effects)
             return self._better(state, trial, simpler.point, start)
+
+        return _with_trials(state, again)
+
+    def from_nominal(self, state: SelectionState) -> SelectionState:
+        """The best trials start from the nominal parameters as well, where a missing effect has
+        stretched those of the model: what it took up keeps a trial of that effect in a local minimum."""
+        m, theta = self.predictor.mechanism, state.model.point.theta
+        if not np.any(np.abs(theta - m.start) > RESIDUALS.stretched * m.deviations):
+            return state
+        possible = (t for t in state.trials if t.problem is None and t.fitted is not None)
+        best = sorted(possible, key=lambda t: -t.gain)[: SELECTION.most_polished]
+        fit = PredictionFit(self.predictor, state.noise)
+
+        def again(trial: Trial) -> Trial:
+            # derivatives of two masses take long
+            if trial not in best or trial.model.point.two_mass:
+                return trial
+            try:
+                found, _ = fit.to_end(Point(m.start, trial.model.point.effects), trial.model.names)
+            except ParameterError:
+                return trial
+            return max(trial, self.trials.judged(fit, state.model, trial.scored, found), key=lambda t: t.gain)
 
         return _with_trials(state, again)
 

@@ -6,9 +6,8 @@ library on filtered motion, which is quick, and on innovations, which feedback c
 fitted in the model (`fitting.trials`), and ranked by their gain of log likelihood less the Occam factor.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import reduce
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from puma_sim_core.effects import KINDS, Kind
 from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
 from puma_sim_core.identify.fitting.trials import Trial, Trials
+from puma_sim_core.identify.memory import release
 from puma_sim_core.identify.noise import innovations
 from puma_sim_core.identify.noise.weighting import Weighting
 from puma_sim_core.identify.parallel import parallel_map
@@ -57,6 +57,7 @@ class Selection:
             self.try_short_list,
             refits.from_nested,
             refits.from_previous,
+            refits.from_nominal,
             refits.rebased,
             self.estimate_noise,
             refits.from_usual,
@@ -67,7 +68,7 @@ class Selection:
         #: after a stage that accepted an effect
         self.addition: tuple[Pass, ...] = (self.add, elimination.eliminate)
         #: after the last stage
-        self.conclusion: tuple[Pass, ...] = (elimination.simplify, self.finish)
+        self.conclusion: tuple[Pass, ...] = (elimination.simplify, elimination.confirm, self.finish)
 
     def run(self, theta: Floats) -> SelectionState:
         """Add effects until none is asked for. theta : parameters by the screening of filtered motion."""
@@ -122,18 +123,26 @@ class Selection:
             lambda t: t if t.fitted is None else self.trials.run(base, t.scored, t.fitted.point), state.trials
         )
         after = replace(state, model=model, jacobian=jacobian, noise=noise, trials=tuple(trials))
-        return state if noise_refused(self._validation_volts(state), self._validation_volts(after)) else after
+        if noise_refused(self._validation_volts(state), self._validation_volts(after)):
+            return replace(state, doubted=after)
+        return replace(after, doubted=None)
 
     def decide(self, state: SelectionState) -> SelectionState:
         """End the stage with the effect that the log asks for, if there is one."""
-        trials, best = tuple(sorted(state.trials, key=lambda t: -t.gain)), state.best
-        state = replace(state, trials=trials, retuned=state.retuned or state.model)
-        chance, accepted = 0.0, None
+        threshold = self._threshold(state)
+        trials = state.trials
+        if state.doubted is not None:
+            # a row noise that is no more than the changes from row to row makes much of what repeats, such as the
+            # steps of an encoder: where the other noise is refused, a gain must hold in both
+            trials, threshold = in_both(trials, threshold, state.doubted.trials, self._threshold(state.doubted))
+        trials = tuple(sorted(trials, key=lambda t: -t.gain))
+        doubted = state.doubted is not None
+        state = replace(state, trials=trials, retuned=state.retuned or state.model, doubted=None)
+        best, accepted = state.best, None
         if best is not None and best.gain > SELECTION.least_gain:
-            chance = self._placebo(state, best)
             accepted = self._parsimonious(best, trials)
-        threshold = max(SELECTION.least_gain, SELECTION.placebo_factor * chance + SELECTION.placebo_margin)
-        stage = Stage(trials, threshold, state.model, None, self._gains(state.history[0]) if state.history else {})
+        first = self._gains(state.history[0]) if state.history else {}
+        stage = Stage(trials, threshold, state.model, None, first, doubted)
         if accepted is not None and best is not None:
             # one that does not lower the error on the validation set is replaced by the next that does
             passing = [t for t in trials if _passes(t, stage, best)]
@@ -201,6 +210,13 @@ class Selection:
         errors = np.column_stack([found[number][:, j] for j, number in enumerate(numbers.tolist())])
         return innovations.weighting(self.predictor, errors)
 
+    def _threshold(self, state: SelectionState) -> float:
+        """The gain [nat] that a name needs in the noise of a state, by what chance gives."""
+        best, chance = state.best, 0.0
+        if best is not None and best.gain > SELECTION.least_gain:
+            chance = self._placebo(state, best)
+        return max(SELECTION.least_gain, SELECTION.placebo_factor * chance + SELECTION.placebo_margin)
+
     def _placebo(self, state: SelectionState, best: Trial) -> float:
         """Greatest gain of shifted innovations over the short list's own columns."""
         fit, model = PredictionFit(self.predictor, state.noise), best.model
@@ -225,6 +241,25 @@ class Selection:
         return max(filter(enough, own), key=lambda t: t.gain, default=best)
 
 
+def in_both(
+    trials: Sequence[Trial], threshold: float, others: Sequence[Trial], other: float
+) -> tuple[tuple[Trial, ...], float]:
+    """Trials with gains that hold in two noises, and the threshold for them.
+
+    A gain is the lesser of two; one that does not reach the threshold in its own noise stays, in proportion, below the
+    lesser threshold as well.
+    """
+    least, there = min(threshold, other), {t.key: t.gain for t in others}
+
+    def held(gain: float, own: float) -> float:
+        return gain if gain > own else gain * least / own
+
+    def lesser(t: Trial) -> float:
+        return min(held(t.gain, threshold), held(there.get(t.key, t.gain), other))
+
+    return tuple(replace(t, gain=lesser(t)) for t in trials), least
+
+
 def noise_refused(before: Floats, after: Floats) -> bool:
     """Whether the voltages (J,) [V^2] that are left of the validation set grew with another noise, joint by joint."""
     return bool((after > 0.0).all() and np.mean(before / after) < SELECTION.better_noise)
@@ -232,7 +267,10 @@ def noise_refused(before: Floats, after: Floats) -> bool:
 
 def _through(passes: Iterable[Pass], state: SelectionState) -> SelectionState:
     """A state after passes, one by one."""
-    return reduce(lambda before, step: step(before), passes, state)
+    for step in passes:
+        state = step(state)
+        release()
+    return state
 
 
 def _passes(trial: Trial, stage: Stage, best: Trial) -> bool:

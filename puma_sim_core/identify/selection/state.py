@@ -20,7 +20,8 @@ class Stage:
     """A completed stage of the selection.
 
     trials : best first; threshold [nat] : of a name, by chance; base : the model that gains are over; accepted : the
-    trial that the log asks for; first : by joint (None: the whole arm) the gain [nat] of the first effect accepted.
+    trial that the log asks for; first : by joint (None: the whole arm) the gain [nat] of the first effect accepted;
+    doubted : the validation refused the noise that the model leaves.
     """
 
     trials: tuple[Trial, ...]
@@ -28,6 +29,7 @@ class Stage:
     base: Fitted
     accepted: Trial | None = None
     first: Mapping[int | None, float] = field(default_factory=dict)
+    doubted: bool = False
 
     def needed(self, joint: int | None) -> float:
         """Least gain [nat] of a name on a joint (1-based; None: the whole arm)."""
@@ -74,8 +76,9 @@ class SelectionState:
     model : the fitted model; jacobian (N, J, p + c) : derivatives of the innovations about it before whitening, by the
     parameters of the mechanism and `model.names`, None where the model has changed since; noise : the weighting of
     the innovations; chosen : the effects of the model, in its order; history : the stages so far; trials : those of
-    the present stage; retuned : the model with its parameters fitted and no effect, None before the first stage;
-    retracted : effects that were taken out at the end, since they do not lower the validation error.
+    the present stage; doubted : the state in a noise that the validation refused in this stage, None otherwise;
+    retuned : the model with its parameters fitted and no effect, None before the first stage; retracted : effects that
+    were taken out at the end, since they do not lower the validation error.
     """
 
     model: Fitted
@@ -84,6 +87,7 @@ class SelectionState:
     chosen: tuple[Chosen, ...] = ()
     history: tuple[Stage, ...] = ()
     trials: tuple[Trial, ...] = ()
+    doubted: SelectionState | None = None
     retuned: Fitted | None = None
     retracted: tuple[Key, ...] = ()
 

@@ -9,35 +9,13 @@ in the padding. Message types, their definitions and their hashes are those of R
 import struct
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import yaml
 from rosbags.typesys import Stores, get_typestore
 
-STRING = "std_msgs/msg/String"
-ARRAY = "std_msgs/msg/Float64MultiArray"
-JOINT_STATE = "sensor_msgs/msg/JointState"
-
-
-class Topic(NamedTuple):
-    """A topic of a bag; ``name`` is relative to the namespace. A latched one is sent once."""
-
-    name: str
-    type: str
-    latched: bool = False
-
-
-MODEL = Topic("sim_node/model", STRING, latched=True)
-URDF = Topic("robot_description", STRING, latched=True)
-STATES = Topic("joint_states", JOINT_STATE)
-CURRENTS = Topic("motor_currents", ARRAY)
-VOLTAGES = Topic("motor_voltages", ARRAY)
-JOINT_COMMANDS = Topic("joint_commands", JOINT_STATE)
-#: the topics of a state in the order in which they are written, with the fields that each holds
-STATE_FIELDS = {STATES: ("position", "velocity", "effort"), CURRENTS: ("current",), VOLTAGES: ("voltage",)}
-#: command interface -> topic of the commands that name no joints
-ARRAY_COMMANDS = {name: Topic(f"{name}_controller/commands", ARRAY) for name in ("voltage", "position")}
+from puma_sim_core.recording.topics import ARRAY, CURRENTS, JOINT_STATE, STATES, STRING, VOLTAGES, Topic
 
 
 @lru_cache(maxsize=1)
@@ -46,11 +24,13 @@ def typestore() -> Any:
     return get_typestore(Stores.ROS2_JAZZY)
 
 
+@lru_cache
 def definition(type_name: str) -> str:
     """Text of a message type in the ``ros2msg`` form, dependencies included."""
     return typestore().generate_msgdef(type_name, ros_version=2)[0]
 
 
+@lru_cache
 def type_hash(type_name: str) -> str:
     """Hash of a message type (REP-2011)."""
     return typestore().hash_rihs01(type_name)
@@ -76,15 +56,16 @@ def qos(topic: Topic) -> list[dict[str, Any]]:
     return [profile]
 
 
+@lru_cache
 def qos_text(topic: Topic) -> str:
     """`qos` as the text that stands in the channel of an MCAP file."""
     return yaml.safe_dump(qos(topic), sort_keys=False).strip()
 
 
-def encode_text(text: str) -> bytes:
-    """CDR bytes of a ``std_msgs/String``."""
+def encode_data(data: str | bool, type_name: str = STRING) -> bytes:
+    """CDR bytes of a ``std_msgs/String`` or ``Bool``."""
     store = typestore()
-    return bytes(store.serialize_cdr(store.types[STRING](text), STRING, little_endian=True))
+    return bytes(store.serialize_cdr(store.types[type_name](data), type_name, little_endian=True))
 
 
 def decode(data: bytes, type_name: str) -> Any:
@@ -168,6 +149,17 @@ class FixedMessage:
             raise MismatchError(int(np.argmin(same)), "other names or array sizes", "those of the first state")
         stamps = rows["sec"].astype(np.int64) * 1_000_000_000 + rows["nanosec"] if self.stamped else None
         return stamps, [rows[str(place)].astype(float) for place in range(len(self._packers))]
+
+
+def names_in(config_text: str) -> dict[str, str]:
+    """Full names of topics by the names that stand here, where a session's text tells others; empty otherwise."""
+    if "topics" not in config_text:
+        return {}  # to read all of it takes longer than many steps of a node
+    try:
+        names = yaml.safe_load(config_text).get("topics") or {}
+        return {str(ours): str(theirs) for ours, theirs in names.items()}
+    except (yaml.YAMLError, AttributeError, ValueError, RecursionError):
+        return {}
 
 
 def state_forms(joint_names: Sequence[str], frame_id: str) -> dict[Topic, FixedMessage]:

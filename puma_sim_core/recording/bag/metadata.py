@@ -1,14 +1,15 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """``metadata.yaml`` of a rosbag2 directory, version 9 (ROS 2 Jazzy)."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import yaml
 
 from puma_sim_core.errors import BagError
-from puma_sim_core.recording.bag.messages import Topic, qos, type_hash
+from puma_sim_core.recording.bag.messages import qos, type_hash
+from puma_sim_core.recording.topics import Topic
 
 NAME = "metadata.yaml"
 VERSION = 9
@@ -16,28 +17,29 @@ _ROOT = "rosbag2_bagfile_information"
 _KINDS = {dict: "a mapping", str: "a text", int: "a whole number", list: "a list"}
 
 
-def information(
-    topics: Sequence[tuple[Topic, str, int]], last_ns: int, file_name: str | None = None
-) -> dict[str, object]:
+class FileInformation(NamedTuple):
+    """What an MCAP file of a bag holds."""
+
+    path: str  #: its name in the bag's directory
+    first_ns: int  #: time at which it begins [ns]
+    last_ns: int  #: time of its last message [ns]
+    counts: Mapping[Topic, int]  #: number of its messages by topic
+
+
+def information(names: Mapping[Topic, str], files: Sequence[FileInformation], *, listed: bool) -> dict[str, object]:
     """Every key that rosbag2 reads at version 9, in the order in which it writes them.
 
     Parameters
     ----------
-    topics : each with its name in the bag and the number of its messages.
-    last_ns : time of the last message [ns]; the first is at 0.
-    file_name : the MCAP file. The copy inside that file has none: rosbag2 puts the name of the file
-        that it opened there, and equal sessions give equal files whatever their names.
+    names : full name of each topic.
+    files : the MCAP files in their order.
+    listed : name the files, as ``metadata.yaml`` does. The copy inside a file describes that file and names none:
+        rosbag2 puts the name of the file that it opened there, and equal sessions give equal files whatever the names.
     """
-    total = sum(count for *_, count in topics)
-    start, duration = {"nanoseconds_since_epoch": 0}, {"nanoseconds": last_ns}
-    # copies: the same object twice would be written as a YAML alias
-    file = {"path": file_name, "starting_time": dict(start), "duration": dict(duration), "message_count": total}
     return {
         "version": VERSION,
         "storage_identifier": "mcap",
-        "duration": duration,
-        "starting_time": start,
-        "message_count": total,
+        **_span(files),
         "topics_with_message_count": [
             {
                 "topic_metadata": {
@@ -47,17 +49,32 @@ def information(
                     "offered_qos_profiles": qos(topic),
                     "type_description_hash": type_hash(topic.type),
                 },
-                "message_count": count,
+                "message_count": sum(file.counts[topic] for file in files),
             }
-            for topic, name, count in topics
+            for topic, name in names.items()
         ],
         "compression_format": "",
         "compression_mode": "",
-        "relative_file_paths": [file_name] if file_name else [],
-        "files": [file] if file_name else [],
+        "relative_file_paths": [file.path for file in files if listed],
+        "files": [_entry(file) for file in files if listed],
         "custom_data": None,
         "ros_distro": "jazzy",
     }
+
+
+def _span(files: Sequence[FileInformation]) -> dict[str, object]:
+    """Time and number of the messages of consecutive files; new objects, since one twice would be a YAML alias."""
+    first = files[0].first_ns
+    return {
+        "duration": {"nanoseconds": files[-1].last_ns - first},
+        "starting_time": {"nanoseconds_since_epoch": first},
+        "message_count": sum(sum(file.counts.values()) for file in files),
+    }
+
+
+def _entry(file: FileInformation) -> dict[str, object]:
+    span = _span([file])
+    return {"path": file.path, **{key: span[key] for key in ("starting_time", "duration", "message_count")}}
 
 
 def dump(content: dict[str, object]) -> str:
@@ -72,8 +89,8 @@ def write(directory: Path, content: dict[str, object]) -> None:
     part.replace(directory / NAME)
 
 
-def read(directory: Path) -> tuple[Path, dict[str, int]]:
-    """The MCAP file and its number of messages by topic; `BagError` names the key that is missing or wrong."""
+def read(directory: Path) -> tuple[list[Path], dict[str, int]]:
+    """The MCAP files and their number of messages by topic; `BagError` names the key that is missing or wrong."""
     path = directory / NAME
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -92,13 +109,13 @@ def read(directory: Path) -> tuple[Path, dict[str, int]]:
         mode = f"compression_mode is {content['compression_mode']!r}"
         raise BagError(mode, where=path, expected="a bag without compression by rosbag2")
     files = _item(content, "relative_file_paths", list, path)
-    if len(files) != 1 or not isinstance(files[0], str) or Path(files[0]).name != files[0]:
-        raise BagError(f"relative_file_paths is {files!r}", where=path, expected="one file in this directory")
+    if not files or not all(isinstance(file, str) and Path(file).name == file for file in files):
+        raise BagError(f"relative_file_paths is {files!r}", where=path, expected="names of files in this directory")
     counts = {
         _item(_item(entry, "topic_metadata", dict, path), "name", str, path): _item(entry, "message_count", int, path)
         for entry in _item(content, "topics_with_message_count", list, path)
     }
-    return directory / files[0], counts
+    return [directory / file for file in files], counts
 
 
 def _item(mapping: object, key: str, kind: type, path: Path) -> Any:

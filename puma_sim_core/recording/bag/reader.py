@@ -2,7 +2,7 @@
 """Reading of bags that `BagRecorder` wrote."""
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,9 +10,24 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from puma_sim_core.errors import BagError
-from puma_sim_core.recording.bag import messages, metadata
-from puma_sim_core.recording.bag.messages import ARRAY_COMMANDS, JOINT_COMMANDS, MODEL, STATES, FixedMessage, Topic
-from puma_sim_core.recording.bag.scan import RawMessage, Scan
+from puma_sim_core.recording.bag import messages
+from puma_sim_core.recording.bag.files import BagFiles
+from puma_sim_core.recording.bag.messages import FixedMessage
+from puma_sim_core.recording.bag.scan import Damage, RawMessage
+from puma_sim_core.recording.topics import (
+    ARRAY_COMMANDS,
+    BRAKES,
+    EFFECTS,
+    FRAMES,
+    JOINT_COMMANDS,
+    MODEL,
+    PLACEMENTS,
+    STATE_FIELDS,
+    STATES,
+    STRING,
+    URDF,
+    Topic,
+)
 
 
 class RecordedCommand(NamedTuple):
@@ -22,20 +37,43 @@ class RecordedCommand(NamedTuple):
     values: tuple[float, ...]
 
 
+class RecordedPlacement(NamedTuple):
+    """Joints that were put at positions [rad] and velocities [rad/s]."""
+
+    names: tuple[str, ...]
+    position: tuple[float, ...]
+    velocity: tuple[float, ...]
+
+
+class RecordedBrakes(NamedTuple):
+    """Whether the brakes hold from a state on."""
+
+    engaged: bool
+
+
+class RecordedEffects(NamedTuple):
+    """Effects from a state on, as YAML of a model file's entry."""
+
+    text: str
+
+
+Input = RecordedCommand | RecordedPlacement | RecordedBrakes | RecordedEffects
+
+
 @dataclass(frozen=True, eq=False)
 class BagContents:
-    """A recorded session; n states from step 0 on, one per period.
+    """A recorded session; n states, the first of step 0, one per period. Of a bag that was damaged some are missing.
 
-    ``commands`` holds (step, command) in their order: a command belongs to the step that
-    consumed it, which leads from state ``step`` to state ``step + 1``.
-    ``period_ns`` is None if there is but one state.
+    ``inputs`` holds (step, command or other change) in their order: an input belongs to the step that consumed it,
+    which leads from state ``step`` to state ``step + 1``. ``period_ns`` is None if there is but one state.
     """
 
-    path: Path
-    complete: bool  # the file ends with its index; False for what a killed recorder left
+    path: Path  # as it was given: the directory, or one file
+    complete: bool  # each file ends with its index; False for what a killed recorder left
     namespace: str
     config_text: str
     urdf: str | None
+    frames: bool  # whether it holds the frames on /tf
     command_interface: str
     joint_names: tuple[str, ...]
     frame_id: str
@@ -47,135 +85,158 @@ class BagContents:
     effort: np.ndarray  # (n, joints) [N.m]
     current: np.ndarray  # (n, joints) [A]
     voltage: np.ndarray  # (n, joints) [V], applied during the last step
-    commands: tuple[tuple[int, RecordedCommand], ...]
+    inputs: tuple[tuple[int, Input], ...]
+    splits_ns: tuple[int, ...] = ()  # times at which its second MCAP file and the later ones begin [ns]
+    damage: tuple[Damage, ...] = ()  # what could not be read, of a bag that was read in part
+
+    @property
+    def commands(self) -> tuple[tuple[int, RecordedCommand], ...]:
+        """(step, command) of the inputs that are commands."""
+        return tuple((step, each) for step, each in self.inputs if isinstance(each, RecordedCommand))
+
+    @property
+    def missing(self) -> tuple[tuple[int, int], ...]:
+        """(first, last) step of each stretch that is missing between two states."""
+        places = np.flatnonzero(np.diff(self.steps) > 1)
+        return tuple((int(self.steps[n]) + 1, int(self.steps[n + 1]) - 1) for n in places)
 
 
 def iterate_messages(path: str | Path) -> Iterator[RawMessage]:
     """Messages of a closed bag of any program, in the order of their log times; raises as `read_bag` does."""
-    return _open(Path(path), partial=False).messages()
+    return BagFiles(Path(path)).messages()
 
 
 def read_bag(path: str | Path, *, partial: bool = False) -> BagContents:
-    """Read a bag: its directory, or its MCAP file alone.
+    """Read a bag: its directory with all its MCAP files, or one file alone, which must be the first.
 
     Parameters
     ----------
-    partial : read what a killed recorder left, up to its last whole period; ``metadata.yaml``
+    partial : read what a killed recorder left, up to its last whole period; ``metadata.yaml`` and files
         may be missing then, and commands that no written state shows are left out. Without it
         such a bag is refused.
 
     Raises
     ------
     BagError : no bag, or one of another program; cut off, without ``metadata.yaml``, without a
-        topic, or with numbers of messages that do not agree.
+        file or a topic, or with numbers of messages that do not agree.
     """
-    return _Session(_open(Path(path), partial), partial).contents()
+    return _Session(BagFiles(Path(path), partial), partial).contents()
 
 
-def mcap_file(path: Path, partial: bool = False) -> tuple[Path, dict[str, int] | None]:
-    """The MCAP file of a bag, and the number of messages by topic if ``metadata.yaml`` is there."""
-    if not path.is_dir():
-        if not path.exists():
-            raise BagError("does not exist", where=path, expected="a bag")
-        return path, None
-    if partial or not (path / metadata.NAME).exists():
-        files = sorted(path.glob("*.mcap"))
-        if not files:
-            raise BagError("is not a bag", where=path, expected=f"{metadata.NAME} and an MCAP file in it")
-        if not partial:
-            raise BagError(f"{metadata.NAME} is missing; {_hint(path)}", where=path, expected="a closed bag")
-        if len(files) > 1:
-            raise BagError(f"holds {len(files)} MCAP files", where=path, expected="one")
-        return files[0], None
-    file, counts = metadata.read(path)
-    if not file.is_file():
-        raise BagError("does not exist", where=file, expected="the file of the bag")
-    return file, counts
-
-
-def _hint(path: Path) -> str:
-    return f"`puma-sim recover {path}` reads what is there"
-
-
-def _open(path: Path, partial: bool) -> Scan:
-    file, counts = mcap_file(path, partial)
-    scan = Scan(file, counts)
-    if not (scan.complete or partial):
-        what = f"the file ends at offset {scan.size} without an index; {_hint(path)}"
-        raise BagError(what, where=file, expected="a closed bag")
-    return scan
+def names_told(recorded: Iterable[RawMessage]) -> dict[str, str]:
+    """Full names of a session's topics by their own, where a model among the messages tells others; empty otherwise."""
+    for message in recorded:
+        if message.type == STRING:
+            try:
+                names = messages.names_in(messages.decode(message.data, STRING).data)
+            except ValueError:
+                continue
+            if names.get(MODEL.name) == message.topic:
+                return names
+    return {}
 
 
 class _Session:
     """The messages of one bag, turned into `BagContents`."""
 
-    def __init__(self, scan: Scan, partial: bool):
-        self.scan, self.partial = scan, partial
+    def __init__(self, files: BagFiles, partial: bool):
+        self.files, self.path, self.partial = files, files.path, partial
         #: topic -> its messages, each with its rank in the whole bag
         self.found: dict[str, list[tuple[int, RawMessage]]] = defaultdict(list)
-        for rank, message in enumerate(scan.messages(partial)):
+        for rank, message in enumerate(files.messages()):
             self.found[message.topic].append((rank, message))
-        self.complete = scan.complete and scan.fault is None
-        models = [name for name in scan.topics if name.endswith("/" + MODEL.name)]
-        if not models and (fault := scan.fault):
-            raise BagError(f"{fault.what}, and there is no model before", where=fault.where, expected=fault.expected)
+        self.topics, self.complete = files.topics, files.complete
+        self.names, self.namespace = dict[str, str](), ""
+        name, self.config_text = self._model()
+        self.names = messages.names_in(self.config_text)
+        self.namespace = name.removesuffix(f"/{MODEL.name}") if not self.names else ""
+
+    def _model(self) -> tuple[str, str]:
+        """Name and text of the topic with the model: by its name, or by what stands in it."""
+        models = [name for name in self.topics if name.endswith("/" + MODEL.name)]
+        if not models:
+            told = names_told(found[0][1] for found in self.found.values())
+            models = [told[MODEL.name]] if told else []
+        if not any(name in self.found for name in models):
+            raise self._without_model()
         if len(models) != 1:
             what, expected = f"{len(models)} topics are named {MODEL.name}", "one, which each bag of this simulator has"
-            raise BagError(what, where=scan.path, expected=expected)
-        self.namespace = models[0].removesuffix("/" + MODEL.name)
+            raise BagError(what, where=self.path, expected=expected)
+        self.names[MODEL.name] = models[0]
+        return models[0], self._text(MODEL)
+
+    def _without_model(self) -> BagError:
+        if fault := self.files.fault:
+            return BagError(f"{fault.what}, and there is no model before", where=fault.where, expected=fault.expected)
+        if self.files.damage:
+            first = self.files.damage[0]
+            where, expected = f"{first.path}, offset {first.offset}", "the model, which stands first"
+            return BagError(f"{first.what}, and there is no model before", where=where, expected=expected)
+        what, expected = f"there is no model on a topic {MODEL.name}", "one, which each bag of this simulator has"
+        if not self.path.is_dir():
+            expected += " in its first file: of a bag of several files name the directory"
+        return BagError(what, where=self.path, expected=expected)
 
     def contents(self) -> BagContents:
-        config_text = self._text(MODEL)
-        urdf = self._text(messages.URDF) if self._is_there(messages.URDF) else None
+        urdf = self._text(URDF) if self._is_there(URDF) else None
         interface = self._command_interface()
         names, frame_id = self._joints()
         times: dict[Topic, np.ndarray] = {}
         fields: dict[str, np.ndarray] = {}
         for topic, form in messages.state_forms(names, frame_id).items():
             times[topic], arrays = self._fixed(topic, form)
-            fields.update(zip(messages.STATE_FIELDS[topic], arrays))
-        time_ns = times.pop(STATES)
-        count = min(map(len, (time_ns, *times.values())))
+            fields.update(zip(STATE_FIELDS[topic], arrays))
+        common = times.pop(STATES)
         for topic, other in times.items():
-            if not self.partial and len(other) != len(time_ns):
-                raise self._error(topic, f"{len(other)} messages", f"{len(time_ns)}, as of states")
-            if not np.array_equal(other[:count], time_ns[:count]):
+            if self.partial:
+                # a period that lacks a message is not whole
+                common = np.intersect1d(common, other)
+            elif not np.array_equal(other, common):
                 raise self._error(topic, "times differ from those of the states", "the same")
-        if count == 0:
+        if common.size == 0:
             raise self._error(STATES, "no whole period was written", "one or more")
-        time_ns = time_ns[:count]
-        steps, period_ns = self._steps(time_ns)
+        steps, period_ns = self._steps(common)
+        times[STATES] = self._times(STATES)
+        for topic, names_of_fields in STATE_FIELDS.items():
+            rows = np.searchsorted(times[topic], common)
+            fields.update({name: fields[name][rows] for name in names_of_fields})
         return BagContents(
-            path=self.scan.path,
+            path=self.path,
             complete=self.complete,
             namespace=self.namespace,
-            config_text=config_text,
+            config_text=self.config_text,
             urdf=urdf,
+            frames=FRAMES.name in self.topics,
             command_interface=interface,
             joint_names=names,
             frame_id=frame_id,
             period_ns=period_ns,
             steps=steps,
-            time_ns=time_ns,
-            **{name: values[:count] for name, values in fields.items()},
-            commands=self._commands(ARRAY_COMMANDS[interface], len(names), period_ns or 1, int(time_ns[-1])),
+            time_ns=common,
+            **fields,
+            inputs=self._inputs(ARRAY_COMMANDS[interface], len(names), period_ns or 1, common),
+            splits_ns=tuple(self.files.begins_ns[1:]),
+            damage=tuple(self.files.damage),
         )
 
     def _name(self, topic: Topic) -> str:
-        return f"{self.namespace}/{topic.name}"
+        return self.names.get(topic.name, f"{self.namespace}/{topic.name}")
+
+    def _times(self, topic: Topic) -> np.ndarray:
+        return np.array([message.time_ns for _, message in self.found[self._name(topic)]], dtype=np.int64)
 
     def _is_there(self, topic: Topic) -> bool:
-        return self._name(topic) in self.scan.topics
+        return self._name(topic) in self.topics
 
     def _error(self, topic: Topic, what: str, expected: str) -> BagError:
-        return BagError(what, where=f"{self.scan.path}, topic {self._name(topic)}", expected=expected)
+        return BagError(what, where=f"{self.path}, topic {self._name(topic)}", expected=expected)
 
     def _messages(self, topic: Topic) -> list[bytes]:
         name = self._name(topic)
         if not self._is_there(topic):
             raise self._error(topic, "is missing", "in each bag of this simulator")
-        if self.scan.topics[name] != topic.type:
-            raise self._error(topic, f"its type is {self.scan.topics[name]!r}", repr(topic.type))
+        if self.topics[name] != topic.type:
+            raise self._error(topic, f"its type is {self.topics[name]!r}", repr(topic.type))
         return [message.data for _, message in self.found[name]]
 
     def _text(self, topic: Topic) -> str:
@@ -194,7 +255,7 @@ class _Session:
         present = [interface for interface, topic in ARRAY_COMMANDS.items() if self._is_there(topic)]
         if len(present) != 1:
             expected = " or ".join(map(self._name, ARRAY_COMMANDS.values()))
-            raise BagError(f"{len(present)} command topics", where=self.scan.path, expected=expected)
+            raise BagError(f"{len(present)} command topics", where=self.path, expected=expected)
         return present[0]
 
     def _joints(self) -> tuple[tuple[str, ...], str]:
@@ -206,21 +267,21 @@ class _Session:
         return tuple(first.name), first.header.frame_id
 
     def _steps(self, time_ns: np.ndarray) -> tuple[np.ndarray, int | None]:
-        """Steps of the states, and the period; their times are whole periods from 0 on."""
-        period_ns = int(time_ns[1]) if len(time_ns) > 1 else None
-        if time_ns[0] != 0 or period_ns == 0:
+        """Steps of the states, and the period; their times are whole periods, the first 0."""
+        period_ns = int(np.diff(time_ns).min()) if len(time_ns) > 1 else None
+        if time_ns[0] != 0 or (period_ns is not None and period_ns <= 0):
             raise self._error(STATES, f"states are at {time_ns[:2].tolist()} ns", "0 and one period")
-        steps = np.arange(len(time_ns))
-        wrong = np.flatnonzero(time_ns != steps * (period_ns or 0))
+        steps, rest = np.divmod(time_ns, period_ns or 1)
+        wrong = np.flatnonzero(rest)
         if wrong.size:
             n = wrong[0]
-            raise self._error(STATES, f"state {n} is at {time_ns[n]} ns", f"{n} periods of {period_ns} ns")
+            raise self._error(STATES, f"state {n} is at {time_ns[n]} ns", f"whole periods of {period_ns} ns")
         return steps, period_ns
 
     def _fixed(self, topic: Topic, form: FixedMessage) -> tuple[np.ndarray, list[np.ndarray]]:
         """Times (n,) [ns] and arrays (n, count) of the messages of one form."""
         found = self._messages(topic)
-        time_ns = np.array([message.time_ns for _, message in self.found[self._name(topic)]], dtype=np.int64)
+        time_ns = self._times(topic)
         try:
             stamps, arrays = form.decode(found)
         except messages.MismatchError as error:
@@ -231,23 +292,31 @@ class _Session:
             raise self._error(topic, f"message {n} is stamped {stamps[n]} ns", f"its log time, {time_ns[n]} ns")
         return time_ns, arrays
 
-    def _commands(
-        self, array_topic: Topic, joints: int, period_ns: int, end_ns: int
-    ) -> tuple[tuple[int, RecordedCommand], ...]:
-        """Commands of all topics, in the order in which they were written."""
+    def _inputs(
+        self, array_topic: Topic, joints: int, period_ns: int, states_ns: np.ndarray
+    ) -> tuple[tuple[int, Input], ...]:
+        """Inputs of all topics, in the order in which they were written."""
         _, (values,) = self._fixed(array_topic, FixedMessage([joints]))
-        given = {array_topic: [RecordedCommand(None, tuple(row)) for row in values.tolist()]}
-        if self._is_there(JOINT_COMMANDS):
-            decoded = [self._decode(JOINT_COMMANDS, data) for data in self._messages(JOINT_COMMANDS)]
-            given[JOINT_COMMANDS] = [RecordedCommand(tuple(m.name), tuple(m.position.tolist())) for m in decoded]
-        ranked: list[tuple[int, int, RecordedCommand]] = []
-        for topic, commands in given.items():
-            for (rank, message), command in zip(self.found[self._name(topic)], commands):
+        given: dict[Topic, list[Any]] = {array_topic: [RecordedCommand(None, tuple(row)) for row in values.tolist()]}
+        for topic, make in _MAKE.items():
+            if self._is_there(topic):
+                given[topic] = [make(self._decode(topic, data)) for data in self._messages(topic)]
+        known, ranked, end_ns = set(states_ns.tolist()), list[tuple[int, int, Input]](), int(states_ns[-1])
+        for topic, inputs in given.items():
+            for (rank, message), each in zip(self.found[self._name(topic)], inputs):
                 time_ns = message.time_ns
-                if not self.complete and time_ns >= end_ns:
-                    break
-                step, rest = divmod(time_ns, period_ns)
-                if rest or not 0 <= time_ns <= end_ns:
-                    raise self._error(topic, f"a command at {time_ns} ns", "the time of a state")
-                ranked.append((rank, step, command))
-        return tuple((step, command) for _, step, command in sorted(ranked))
+                if not self.complete and (time_ns >= end_ns or time_ns not in known):
+                    continue
+                if time_ns not in known:
+                    raise self._error(topic, f"a message at {time_ns} ns", "the time of a state")
+                ranked.append((rank, time_ns // period_ns, each))
+        return tuple((step, each) for _, step, each in sorted(ranked, key=lambda each: each[0]))
+
+
+#: topics of inputs beside the command interface's own -> what their messages make
+_MAKE: dict[Topic, Callable[[Any], Input]] = {
+    JOINT_COMMANDS: lambda m: RecordedCommand(tuple(m.name), tuple(m.position.tolist())),
+    PLACEMENTS: lambda m: RecordedPlacement(tuple(m.name), *(tuple(a.tolist()) for a in (m.position, m.velocity))),
+    BRAKES: lambda m: RecordedBrakes(bool(m.data)),
+    EFFECTS: lambda m: RecordedEffects(m.data),
+}

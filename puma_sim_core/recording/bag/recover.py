@@ -7,29 +7,40 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import NamedTuple
 
-from puma_sim_core.recording.bag.messages import STATE_FIELDS
-from puma_sim_core.recording.bag.reader import BagContents, mcap_file, read_bag
+from puma_sim_core.recording.bag.reader import (
+    BagContents,
+    RecordedBrakes,
+    RecordedCommand,
+    RecordedEffects,
+    RecordedPlacement,
+    read_bag,
+)
 from puma_sim_core.recording.bag.recorder import BagRecorder
+from puma_sim_core.recording.bag.scan import Damage
+from puma_sim_core.recording.topics import STATE_FIELDS
 
 
 class Recovered(NamedTuple):
     """The bag that `recover` wrote."""
 
     path: Path
-    steps: int  #: periods from the first state to the last
+    steps: int  #: the last one, counted from the first state
     last_time_ns: int  #: simulated time of the last state [ns]
     was_complete: bool  #: the original lacked nothing but, perhaps, its ``metadata.yaml``
+    damage: tuple[Damage, ...]  #: where reading stopped, or was taken up again behind what could not be read
+    missing: tuple[tuple[int, int], ...]  #: (first, last) step of what is missing in between
 
 
 def recover(path: str | Path, out: str | Path | None = None) -> Recovered:
     """Read what is there of a bag and write it as a new, closed bag; the original is not touched.
 
     Whole periods are kept, and the commands that a written state shows: byte for byte the bag that
-    an undisturbed recorder would have closed at that state.
+    an undisturbed recorder would have closed at that state, split into files at the same states. Behind a damaged chunk
+    and a missing file reading goes on; the new bag lacks its steps.
 
     Parameters
     ----------
-    path : the bag's directory or its MCAP file.
+    path : the bag's directory, or its first MCAP file alone.
     out : the directory to make; by default the name of the bag with ``_recovered`` behind it.
 
     Raises
@@ -38,7 +49,7 @@ def recover(path: str | Path, out: str | Path | None = None) -> Recovered:
     """
     contents = read_bag(path, partial=True)
     target = Path(out) if out is not None else _default_target(Path(path))
-    kept = ("namespace", "config_text", "urdf", "joint_names", "frame_id", "command_interface")
+    kept = ("namespace", "config_text", "urdf", "frames", "joint_names", "frame_id", "command_interface", "splits_ns")
     # a single state stands at time 0 whatever the period
     recorder = BagRecorder(target, **{n: getattr(contents, n) for n in kept}, period_ns=contents.period_ns or 1)
     try:
@@ -47,28 +58,37 @@ def recover(path: str | Path, out: str | Path | None = None) -> Recovered:
     except BaseException:
         shutil.rmtree(target, ignore_errors=True)
         raise
-    last = len(contents.steps) - 1
-    return Recovered(target, last, int(contents.time_ns[last]), contents.complete)
+    last_time = int(contents.time_ns[-1])
+    return Recovered(target, int(contents.steps[-1]), last_time, contents.complete, contents.damage, contents.missing)
 
 
 def _write(contents: BagContents, recorder: BagRecorder) -> None:
     names = ("step", "time_ns", *chain(*STATE_FIELDS.values()))
     columns = [contents.steps, *(getattr(contents, name) for name in names[1:])]
-    commands = iter([*contents.commands, (-1, None)])
-    step, command = next(commands)
+    inputs = iter([*contents.inputs, (-1, None)])
+    step, given = next(inputs)
     for values in zip(*(column.tolist() for column in columns)):
         state = SimpleNamespace(**dict(zip(names, values)))
+        if state.step > recorder.steps:
+            recorder.skip_to(state.step)
         recorder.write_state(state)
         while step == state.step:
-            recorder.write_command(state.time_ns, command)
-            step, command = next(commands)
+            match given:
+                case RecordedCommand():
+                    recorder.write_command(state.time_ns, given)
+                case RecordedPlacement():
+                    recorder.write_placement(state.time_ns, given)
+                case RecordedBrakes(engaged):
+                    recorder.write_brakes(state.time_ns, engaged)
+                case RecordedEffects(text):
+                    recorder.write_effects(state.time_ns, text)
+            step, given = next(inputs)
 
 
 def _default_target(path: Path) -> Path:
     if not path.is_dir():
-        file, _ = mcap_file(path, partial=True)
         # NAME/NAME_0.mcap belongs to the bag NAME; any other file stands for itself.
-        bag = file.resolve().parent
-        path = bag if file.stem == f"{bag.name}_0" else file.with_suffix("")
+        bag = path.resolve().parent
+        path = bag if path.stem == f"{bag.name}_0" else path.with_suffix("")
     path = path.resolve()
     return path.with_name(path.name + "_recovered")

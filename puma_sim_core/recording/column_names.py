@@ -1,9 +1,17 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """What the name of a column says: the unit behind it, and the channel that it may hold."""
 
+from __future__ import annotations
+
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import pi
+from typing import TYPE_CHECKING
+
+from puma_sim_core.errors import RecordingError
+
+if TYPE_CHECKING:
+    from puma_sim_core.recording.csv_rows import CsvRows
 
 #: group of channels -> unit -> factor to the unit of the format
 _UNITS = {
@@ -11,6 +19,7 @@ _UNITS = {
     "voltage": {"v": 1.0, "volts": 1.0, "mv": 1e-3, "nm": 1.0},
     "position": {"rad": 1.0, "deg": pi / 180.0, "mrad": 1e-3, "m": 1.0, "mm": 1e-3, "turns": 2.0 * pi, "rev": 2.0 * pi},
 }
+_UNITS["setpoint"] = _UNITS["position"]
 #: a unit behind a name: position_deg, position [deg], position (deg)
 _BEHIND = re.compile(r"(?P<name>.+?)(?:_|\s*[\[(])(?P<unit>[A-Za-z.]+)[\])]?")
 #: words that a column of a group is called, the most telling first
@@ -31,6 +40,7 @@ _WORDS = {
         "command",
     ),
     "position": ("position", "pos", "q", "q_meas", "theta", "angle", "x"),
+    "setpoint": ("setpoint", "goal", "target", "goal_position", "reference", "ref", "q_ref", "q_des", "desired"),
 }
 
 
@@ -40,6 +50,25 @@ def unit_of(name: str, group: str) -> tuple[str, float]:
     return unit, _UNITS[group][unit.lower()] if unit else 1.0
 
 
+def units_of(group: str) -> Mapping[str, float]:
+    """Unit -> factor to the unit of the format, of those that a group may have; none where nothing is converted."""
+    return _UNITS.get(group, {})
+
+
+def unit_in(rows: CsvRows, place: int, group: str) -> tuple[str, float]:
+    """(unit of a file's column, factor to the unit of the format), by its name or by the line of units.
+
+    Raises RecordingError: a unit that the group does not know.
+    """
+    name, unit = rows.names[place], rows.units[place]
+    found = unit_of(f"{name} [{unit}]" if unit else name, group)
+    if unit and not found[0] and (known := units_of(group)):
+        where = f"{rows.path}, line {rows.units_line}, column {name}"
+        expected = f"a number, or a unit among {', '.join(known)}; a line that is neither begins with #"
+        raise RecordingError(f"'{unit}'", where=where, expected=expected)
+    return found
+
+
 def _split(name: str, group: str) -> tuple[str, str]:
     """(name of a column without its unit, the unit), which is "" for one that the group does not know."""
     found = _BEHIND.fullmatch(name.strip())
@@ -47,11 +76,13 @@ def _split(name: str, group: str) -> tuple[str, str]:
     return (found["name"], unit) if found and unit.lower() in _UNITS.get(group, {}) else (name.strip(), "")
 
 
-def suggested(names: Sequence[str], joints: int) -> dict[str, str]:
-    """Channel -> column, for the time, the voltages and the positions, by the names of columns; {} where one is not
-    found."""
-    wanted = [("time", ""), *((group, str(j + 1)) for group in ("voltage", "position") for j in range(joints))]
-    found = {f"{group}{number}": _best(names, group, number, joints) for group, number in wanted}
+def suggested(names: Sequence[str], inputs: Sequence[str]) -> dict[str, str]:
+    """Channel -> column, for the time, the inputs and the positions, by the names of columns; {} where one is not
+    found. inputs : (J,) as for `read_log`."""
+    joints = [str(j) for j in range(1, len(inputs) + 1)]
+    given = [(group, number) for number, group in zip(joints, inputs) if group]
+    wanted = [("time", ""), *given, *(("position", number) for number in joints)]
+    found = {f"{group}{number}": _best(names, group, number, len(inputs)) for group, number in wanted}
     complete = all(found.values()) and len(set(found.values())) == len(found)
     return {channel: column for channel, column in found.items() if column} if complete else {}
 

@@ -1,0 +1,123 @@
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
+"""Whether logs of one machine, each explained alone, give the same answer: names, and sizes with their intervals.
+
+Estimates y of one parameter, with standard errors s from their intervals, are compared by Cochran's Q,
+
+    Q = sum (y - m)^2 / s^2,  m = sum (y / s^2) / sum (1 / s^2),
+
+which has a chi-square distribution with k - 1 degrees of freedom where the k logs have one true value (Cochran 1954,
+Biometrics 10, 101-129). I2 = max(0, (Q - k + 1) / Q) is the share of the scatter that the intervals do not explain
+(Higgins and Thompson 2002, Statistics in Medicine 21, 1539-1558). Where Birge's ratio sqrt(Q / (k - 1)) is above 1, the
+interval of the mean is wider by it (Birge 1932, Physical Review 40, 207-227).
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from puma_sim_core.effects import KINDS
+from puma_sim_core.effects.base import RATE, SIZE
+from puma_sim_core.identify.report.text import hypothesis
+from puma_sim_core.identify.result import (
+    DATA_FAULT,
+    Agreement,
+    AgreementOfEffect,
+    AgreementOfSize,
+    Hypothesis,
+    Interval,
+)
+from puma_sim_core.identify.settings import RESIDUALS
+from puma_sim_core.pages.text import listed
+
+NAMED, TIED, NOT_EXCITED, NOT_NAMED = "named", "tied", "not excited", "not named"
+#: why there is no answer of a log
+_NO_ANSWER = "no answer"
+
+
+def agreement(logs: Sequence[str], reports: Sequence[Mapping[str, Any] | None]) -> Agreement:
+    """The comparison of reports of some logs.
+
+    reports : mappings of report.json, None where a log could not be explained; data at fault give no answer either.
+    """
+    reports = [None if report is None or report["verdict"] == DATA_FAULT else report for report in reports]
+    keys = dict.fromkeys((e["name"], e["joint"]) for report in reports if report for e in report["effects"])
+    verdicts = tuple(_NO_ANSWER if report is None else report["verdict"] for report in reports)
+    effects = tuple(_effect(Hypothesis(*key), reports) for key in keys)
+    return Agreement(tuple(logs), verdicts, effects, _sentence(verdicts, effects))
+
+
+def heterogeneity(values: Sequence[float], errors: Sequence[float]) -> tuple[float, float, float, float]:
+    """(mean, its standard error, Q, p-value) of k estimates, two at least, with standard errors above 0."""
+    y, weights = np.asarray(values), np.asarray(errors) ** -2.0
+    mean = float(weights @ y / weights.sum())
+    q, free = float(weights @ (y - mean) ** 2), len(y) - 1
+    return mean, float(weights.sum() ** -0.5 * max(1.0, np.sqrt(q / free))), q, float(chi2.sf(q, free))
+
+
+def _effect(key: Hypothesis, reports: Sequence[Mapping[str, Any] | None]) -> AgreementOfEffect:
+    states = tuple(_NO_ANSWER if report is None else _state(key, report) for report in reports)
+    own = [None if report is None else _own(key, report) for report in reports]
+    names = [p.name for p in KINDS[key.name].parameters if p.role in (SIZE, RATE)]
+    sizes = (_size(name, [None if each is None else each["parameters"].get(name) for each in own]) for name in names)
+    return AgreementOfEffect(key.name, key.joint, states, tuple(size for size in sizes if size is not None))
+
+
+def _own(key: Hypothesis, report: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    return next((e for e in report["effects"] if Hypothesis(e["name"], e["joint"]) == key), None)
+
+
+def _state(key: Hypothesis, report: Mapping[str, Any]) -> str:
+    """What a report says of an effect."""
+    if _own(key, report) is not None:
+        return NAMED
+    if any(Hypothesis(**tie) == key for effect in report["effects"] for tie in effect["tied_with"]):
+        return TIED
+    unseen = {Hypothesis(d["name"], d["joint"]) for d in report["detectability"] if d["size"] == "NOT_EXCITED"}
+    return NOT_EXCITED if key in unseen else NOT_NAMED
+
+
+def _size(name: str, found: Sequence[Mapping[str, Any] | None]) -> AgreementOfSize | None:
+    """One parameter along the logs; None where no log gives an interval."""
+    given = [_interval(each) for each in found]
+    errors = [0.0 if each is None else (each.high - each.low) / (2.0 * RESIDUALS.normal_quantile) for each in given]
+    pairs = [(each, error) for each, error in zip(given, errors) if each is not None and error > 0.0]
+    if not pairs:
+        return None
+    unit = pairs[0][0].unit
+    if len(pairs) == 1:
+        return AgreementOfSize(name, unit, tuple(given))
+    mean, error, q, p = heterogeneity([each.value for each, _ in pairs], [error for _, error in pairs])
+    half = RESIDUALS.normal_quantile * error
+    i2 = max(0.0, (q - len(pairs) + 1) / q) if q > 0.0 else 0.0
+    return AgreementOfSize(name, unit, tuple(given), Interval(mean, mean - half, mean + half, unit), q, p, i2)
+
+
+def _interval(found: Mapping[str, Any] | None) -> Interval | None:
+    """An estimate with finite ends."""
+    if found is None or None in found["ci95"]:
+        return None
+    low, high = found["ci95"]
+    return Interval(found["value"], low, high, found["unit"])
+
+
+def _sentence(verdicts: Sequence[str], effects: Sequence[AgreementOfEffect]) -> str:
+    """What the comparison comes to, in one or two sentences."""
+    if not effects:
+        same = "the same verdict" if len(set(verdicts)) == 1 else "different verdicts"
+        return f"Explained one by one, the {len(verdicts)} logs name no effect, with {same}."
+    parts = []
+    for effect in effects:
+        count = effect.states.count(NAMED)
+        also = effect.states.count(TIED)
+        words = f"{hypothesis(Hypothesis(effect.name, effect.joint), True)} is named by {count} of {len(verdicts)} logs"
+        parts.append(words + (f" and tied in {also}" if also else ""))
+    text = f"Explained one by one: {listed(parts)}."
+    apart = [
+        f"{size.parameter.replace('_', ' ')} of {hypothesis(Hypothesis(e.name, e.joint), True)}"
+        for e in effects
+        for size in e.sizes
+        if not size.agrees
+    ]
+    return f"{text} Their intervals exclude each other in {listed(apart)}." if apart else text

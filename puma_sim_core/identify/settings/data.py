@@ -1,0 +1,27 @@
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
+"""Stage 1: reading and sampling of logs (`identify.data`)."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Data:
+    """Thresholds of this stage."""
+
+    filter_order: int = 8  #: half of the exponent of the response
+    filter_settling: float = 2.5  #: time constants 1/fc that the response takes to die away
+
+    reading_greatest_rows: int = 60_000  #: rows of a log that are read: a minute at 1 kHz takes 3.7 GB (an arm)
+
+    encoder_changes: int = 20  #: least changes of a position in which an encoder's step is found
+    encoder_reaches: tuple[float, ...] = (1.5, 4.0, 15.0)  #: steps that changes are taken up to
+
+    sampling_first_cutoff: float = 60.0  #: first filter [Hz]
+    sampling_first_share: float = 0.30  #: its greatest share of the sampling frequency
+    sampling_second_cutoff: float = 25.0  #: second filter [Hz]
+    sampling_second_share: float = 0.42  #: its greatest share of the first
+    sampling_kept: float = 2.6  #: rows kept after the second filter, in multiples of its cutoff
+    sampling_even: float = 0.02  #: steps of time that differ by less than this share count as even
+
+
+DATA = Data()

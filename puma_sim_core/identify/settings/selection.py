@@ -1,0 +1,69 @@
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
+"""Stages 5 and 7: which effects are named, validation (`identify.selection`)."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Thresholds of this stage."""
+
+    # --- what a name needs
+    #: of a name [nat]: of 450 synthetic records with nothing missing none had 13 to 20 nat (commit 7bc1047)
+    least_gain: float = 16.0
+    least_share: float = 0.015  #: of the first effect's gain; less is its model discrepancy [calibrated]
+    least_untried: float = 25.0  #: of a name [nat] without action on the validation set [calibrated]
+    untried_share: float = 0.03  #: and share of the gain [calibrated]
+    #: least gain [nat] of a name that gives a joint two masses, since no placebo goes through the model: of 510 names
+    #: of synthetic records wrong ones of these had 17 to 35 nat, right ones 165 and more but for one (23b9b58)
+    least_two_mass: float = 40.0
+    most_effects: int = 4  #: most effects that are named
+    #: placebos, of curves too, and what a gain must exceed their greatest by: a factor and an addend [nat] [calibrated]
+    placebos: int = 24
+    placebo_factor: float = 1.2
+    placebo_margin: float = 2.0
+    placebo_shifts: tuple[float, float] = (0.06, 0.94)  #: as shares of the record: far from no shift at all
+    elsewhere: float = 0.2  #: of the first effect's gain at other joints, where its discrepancy shows [calibrated]
+    replacement_share: float = 0.4  #: of the best gain, where the best fails on the validation set [calibrated]
+
+    # --- effects that contain one another
+    #: gain [nat] over a contained effect, Occam factors included [calibrated]
+    parsimony: float = 1.5
+    replacement_gain: float = 3.0  #: gain [nat] that an effect must be better by than one that it replaces [calibrated]
+    exact: float = 1e-4  #: share of a gain to which fits are exact at best: it counts in a log without noise
+    #: share of its gain from which on a rival is tried in the place of an effect, and how many
+    rival_share: float = 0.5
+    rivals: int = 3
+    unfinished: float = 3.0  #: difference [nat] of two fits from that of their trials: unfinished fits
+
+    # --- trials that are fitted again
+    #: best screened trials, and share of the best gain, whose derivatives are taken anew after a poor fit
+    relinearised: int = 4
+    relinearised_two_mass: int = 1
+    relinearised_share: float = 0.03
+    no_more: float = 1.0  #: gain of likelihood [nat] below which a trial is no more than an effect that it contains
+    #: share of the best gain above which a trial is fitted to its end, for how many, and from which gain [nat] on
+    near_best: float = 0.6
+    most_polished: int = 4
+    worth_polishing: float = 8.0
+    #: derivatives taken for it at most, rounds with each, and gain [nat] that is enough
+    polishings: int = 3
+    polishing_rounds: int = 3
+    polished: float = 2.0
+    #: validation V^2 before over after a new noise, below which the old one stays [calibrated]
+    better_noise: float = 0.97
+
+    # --- cross-validation (`cross_validation`, `validate`)
+    #: of a parameter outside a fold; below, it cannot be fitted without it
+    least_information: float = 0.3
+    fold_rounds: int = 2  #: rounds of each fit without a fold
+    #: a difference over its standard error from which on it counts: 95 % of a normal distribution lie within
+    standard_errors: float = 2.0
+    window: float = 0.5  #: length of an open-loop window [s]
+    shortest_window: float = 0.3  #: shortest one that counts [s]
+    window_distance: float = 0.125  #: to the next [s]: no row of a fold of 0.8 s lies between two windows
+    window_rows: int = 4  #: least rows of a window
+    not_finite: float = 1e3  #: what an error of position is set to where the state does not stay finite [rad or m]
+
+
+SELECTION = Selection()

@@ -1,0 +1,139 @@
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
+"""How each hypothesis stands beside what was found: the one evidence that text, tables and files give.
+
+The evidence of an effect that is named is its gain over the model without it. A hypothesis that could stand in its
+place, on its joint or of the whole arm, is compared with it in the stage that accepted it, and has the evidence that it
+would have there. Any other one has the gain that it would add to the last model in which it was tried.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+from puma_sim_core.effects import KINDS
+from puma_sim_core.identify.fitting.trials import Trial, tied
+from puma_sim_core.identify.result import Hypothesis, Ranked, RuledOut
+from puma_sim_core.identify.screening.evidence import Key
+from puma_sim_core.identify.selection.state import Chosen, SelectionState, Stage
+from puma_sim_core.pages.text import effect_name
+
+NAMED, TIED = "named", "tied"
+
+
+@dataclass(frozen=True)
+class Standing:
+    """One hypothesis.
+
+    evidence [nat] : NaN where it was tried in another model than what it is compared with; verdict : "named", "tied",
+    or why it is neither; against : the effect that it could stand in for, None without; possible : whether its fit
+    has sizes that a machine may have; trial : its fit.
+    """
+
+    key: Key
+    evidence: float
+    verdict: str
+    against: Key | None
+    possible: bool
+    trial: Trial
+
+
+def standings(state: SelectionState) -> tuple[Standing, ...]:
+    """Those of all hypotheses that were tried, the greatest evidence first."""
+    rows = [Standing(c.key, float(c.gain), NAMED, None, True, c.trial) for c in state.chosen]
+    last = {trial.key: (stage, trial) for stage in state.history for trial in stage.trials}
+    for key, (stage, trial) in last.items():
+        if key not in state.keys:
+            rows.append(_in_place(state, key) or _added(state, stage, trial))
+    return tuple(sorted(rows, key=lambda row: (math.isnan(row.evidence), -row.evidence)))
+
+
+def ranking(rows: tuple[Standing, ...]) -> tuple[Ranked, ...]:
+    """The rows of a report's ranking."""
+    return tuple(
+        Ranked(
+            *row.key, row.evidence, row.verdict, None if row.against is None else Hypothesis(*row.against), row.possible
+        )
+        for row in rows
+    )
+
+
+def ties(rows: tuple[Standing, ...], key: Key) -> tuple[Hypothesis, ...]:
+    """What the log cannot tell from an effect."""
+    return tuple(Hypothesis(*row.key) for row in rows if row.against == key and row.verdict == TIED)
+
+
+def ruled_out(rows: tuple[Standing, ...], key: Key) -> tuple[RuledOut, ...]:
+    """What could stand in for an effect, and why it does not; look-alikes that were not tried come last."""
+    out = [RuledOut(*row.key, row.verdict) for row in rows if row.against == key and row.verdict != TIED]
+    seen = {row.key for row in rows}
+    for other, text, _ in KINDS[key[0]].look_alikes:
+        if other in KINDS and (own := (other, key[1] if KINDS[other].per_joint else None)) not in seen:
+            out.append(RuledOut(*own, f"the screening gave it no evidence; {text}"))
+    return tuple(out)
+
+
+def _in_place(state: SelectionState, key: Key) -> Standing | None:
+    """A hypothesis in the place of the effect that it comes nearest to; None where it could take that of none."""
+    found = [
+        (row, _on_one_joint(chosen.key, key))
+        for chosen in state.chosen
+        for trial in chosen.stage.trials
+        if trial.key == key
+        for row in [_beside(state, chosen, trial)]
+        if _on_one_joint(chosen.key, key) or row.verdict == TIED
+    ]
+    # -inf: what was replaced is nearest to what replaced it
+    order = [
+        (row.verdict != TIED, not same, -row.evidence if math.isfinite(row.evidence) else -math.inf)
+        for row, same in found
+    ]
+    return found[order.index(min(order))][0] if found else None
+
+
+def _on_one_joint(one: Key, other: Key) -> bool:
+    return one[1] == other[1] or None in (one[1], other[1])
+
+
+def _beside(state: SelectionState, chosen: Chosen, trial: Trial) -> Standing:
+    """A trial of the stage that accepted an effect, or the one that the effect replaced later."""
+    accepted = chosen.stage.accepted
+    replaced = accepted is not None and accepted.key != chosen.key
+    reference = accepted.gain if replaced and accepted is not None else chosen.gain
+    evidence = float(chosen.gain - (reference - trial.gain))
+    if replaced and accepted is not None and trial.key == accepted.key:
+        evidence = math.nan
+    named = effect_name(chosen.key[0], lower=True)
+    if trial.problem is not None:
+        verdict = trial.problem
+    elif chosen.key[0] in KINDS[trial.name].special_cases and trial.joint == chosen.key[1]:
+        verdict = f"it contains {named}, which is enough"
+    elif math.isnan(evidence):
+        verdict = f"with all that was found in the model, {named} explains more"
+    elif not tied(replace(trial, gain=evidence), chosen.trial):
+        other = "too little of it acts in the validation set"
+        why = "it does not lower the error on the validation set" if trial.validation_gain <= 0.0 else other
+        verdict = f"{evidence - chosen.gain:.0f} nat more than {named}, but {why}"
+    elif tied(chosen.trial, replace(trial, gain=evidence)):
+        verdict = TIED
+    else:
+        verdict = f"lower than {named} by {chosen.gain - evidence:.0f} nat"
+        told = KINDS[chosen.key[0]].told_from(trial.name)
+        verdict += f": {told}" if told else ""
+    return Standing(trial.key, evidence, verdict, chosen.key, trial.problem is None, trial)
+
+
+def _added(state: SelectionState, stage: Stage, trial: Trial) -> Standing:
+    """A trial added to the model of a stage, and why it was not accepted."""
+    best = stage.accepted
+    if trial.problem is not None:
+        verdict = trial.problem
+    elif trial.key in state.retracted:
+        verdict = "retracted: it does not lower the validation error, or a free curve leaves clearly less"
+    elif trial.gain <= stage.needed(trial.joint):
+        verdict = f"below the threshold of {stage.needed(trial.joint):.0f} nat"
+    elif trial.validation_gain <= 0.0:
+        verdict = "it does not lower the error on the validation set"
+    elif best is not None:
+        verdict = f"lower than {effect_name(best.name, lower=True)} by {best.gain - trial.gain:.0f} nat"
+    else:
+        verdict = "too little of it acts in the validation set"
+    return Standing(trial.key, float(trial.gain), verdict, None, trial.problem is None, trial)

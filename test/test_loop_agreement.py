@@ -1,0 +1,118 @@
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
+"""Answers of several logs of one machine beside each other: Cochran's Q, and what the report says of it."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+from loop_support import named
+from scipy.stats import chi2
+
+from puma_sim_core.identify import explain
+from puma_sim_core.identify.agreement import agreement, heterogeneity
+from puma_sim_core.identify.report.html import page
+from puma_sim_core.identify.report.json import report_mapping, report_text
+from puma_sim_core.resources import config_path
+
+FRICTION = ("coulomb_friction", 2)
+
+
+def with_torque(value, half):
+    """A report that names friction of a size."""
+    found = copy.deepcopy(report_mapping(named()))
+    found["effects"][0]["parameters"]["torque"] |= {"value": value, "ci95": [value - half, value + half]}
+    return found
+
+
+def without(excited=True, tie=False):
+    """A report that names no friction, or another effect that is tied with it."""
+    found = with_torque(1.0, 0.1)
+    found["verdict"] = "NAMED"
+    row = next(d for d in found["detectability"] if (d["name"], d["joint"]) == FRICTION)
+    row["size"] = 0.8 if excited else "NOT_EXCITED"
+    effect = {"name": "voltage_dead_band", "joint": 2, "parameters": {}, "evidence": 20.0, "ruled_out": []}
+    effect["tied_with"] = [{"name": FRICTION[0], "joint": FRICTION[1]}] if tie else []
+    found["effects"] = [effect]
+    return found
+
+
+def test_q_of_equal_errors_is_the_scatter_over_the_error():
+    values, error = np.array([1.0, 2.0, 4.0]), 0.5
+    mean, own, q, p = heterogeneity(values, [error] * 3)
+    assert mean == pytest.approx(values.mean())
+    assert q == pytest.approx(2.0 * values.var(ddof=1) / error**2)
+    assert p == pytest.approx(math.exp(-q / 2.0))  # chi-square with two degrees of freedom
+    # Birge: the scatter gives the error of the mean where it is larger
+    assert own == pytest.approx(values.std(ddof=1) / math.sqrt(3.0))
+
+
+def test_the_test_rejects_one_true_value_as_often_as_it_says():
+    rng = np.random.default_rng(7)
+    errors = np.array([0.3, 1.0, 0.1, 0.5])
+    found = [heterogeneity(5.0 + errors * rng.standard_normal(4), errors) for _ in range(4000)]
+    assert np.mean([p < 0.05 for *_, p in found]) == pytest.approx(0.05, abs=0.011)
+    assert np.mean([q for *_, q, _ in found]) == pytest.approx(3.0, rel=0.05)
+
+
+def test_a_table_has_each_log_and_the_test_of_each_size():
+    reports = [
+        with_torque(10.0, 0.5),
+        with_torque(10.4, 0.5),
+        without(),
+        without(excited=False),
+        without(tie=True),
+        None,
+    ]
+    found = agreement([f"{n}.csv" for n in range(6)], reports)
+    friction = next(e for e in found.effects if (e.name, e.joint) == FRICTION)
+    assert friction.states == ("named", "named", "not named", "not excited", "tied", "no answer")
+    (size,) = friction.sizes
+    assert [each is not None for each in size.found] == [True, True, False, False, False, False]
+    assert size.mean.value == pytest.approx(10.2) and size.i2 < 0.3 and size.agrees
+    s = 0.5 / 1.959964
+    assert size.p_value == pytest.approx(chi2.sf(0.5 * (0.4 / s) ** 2, 1), rel=1e-4)
+    assert "named by 2 of 6 logs and tied in 1" in found.sentence and "exclude" not in found.sentence
+    apart = agreement(["a", "b"], [with_torque(10.0, 0.5), with_torque(12.0, 0.5)])
+    assert not apart.effects[0].sizes[0].agrees and apart.effects[0].sizes[0].i2 > 0.9
+    assert "exclude each other in torque of Coulomb friction" in apart.sentence
+    nothing = agreement(["a", "b"], [{**without(), "effects": []}] * 2)
+    assert nothing.effects == () and "the same verdict" in nothing.sentence
+
+
+def test_report_and_page_have_the_table():
+    found = agreement(["day/a.csv", "day/b.csv"], [with_torque(10.0, 0.5), with_torque(12.0, 0.5)])
+    made = replace(named(), agreement=found, logs=found.logs)
+    schema = json.loads(config_path("explain_report.schema.json").read_text(encoding="utf-8"))
+    report = json.loads(report_text(made))
+    jsonschema.Draft202012Validator(schema).validate(report)
+    (size,) = report["agreement"]["effects"][0]["sizes"]
+    assert size["q"] == pytest.approx(0.5 * (2.0 * 1.959964 / 0.5) ** 2, rel=1e-3) and not size["agrees"]
+    text = page(made)
+    section = text.split('<section id="agreement">')[1].split("</section>")[0]
+    assert "b.csv" in section and "Cochran" in section and "11.0" in section
+    assert '<section id="agreement">' not in page(named())
+
+
+@pytest.mark.long
+def test_two_halves_of_a_log_give_the_same_answer(tmp_path):
+    """The sample log of the pendulum, which lacks Coulomb friction, as two logs."""
+    lines = (Path(__file__).parents[1] / "examples" / "pendulum.csv").read_text().splitlines()
+    paths = [tmp_path / "first.csv", tmp_path / "second.csv"]
+    for path, own in zip(paths, (lines[1:1001], lines[1001:])):
+        path.write_text("\n".join([lines[0], *own]) + "\n")
+    found = explain(paths, plant="pendulum", agreement=True)
+    assert [(e.name, e.joint) for e in found.effects] == [("coulomb_friction", 1)]
+    table = found.agreement
+    assert table.logs == tuple(map(str, paths))
+    (friction,) = (e for e in table.effects if e.name == "coulomb_friction")
+    # five seconds of the second half do not tell it from another effect
+    assert friction.states[0] == "named" and friction.states[1] in ("named", "tied")
+    (torque,) = friction.sizes
+    assert torque.found[0] is not None and torque.agrees

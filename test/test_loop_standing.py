@@ -1,0 +1,135 @@
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
+"""One evidence for each effect: how hypotheses stand beside what was found, and reports that agree with themselves."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+from dataclasses import replace
+
+import pytest
+from loop_support import EXPLANATIONS, tied
+from report_checks import CHECKS, contradictions
+from test_loop_choice import state_of, trial
+
+from puma_sim_core.identify.report.answers import lead, rivals, told_next
+from puma_sim_core.identify.report.json import report_text
+from puma_sim_core.identify.report.tables import ranking as shown
+from puma_sim_core.identify.result import Hypothesis
+from puma_sim_core.identify.selection.state import Chosen, Stage
+from puma_sim_core.identify.standing import ranking, ruled_out, standings, ties
+
+COULOMB, ASYMMETRIC = ("coulomb_friction", 1), ("asymmetric_coulomb_friction", 1)
+DEAD_BAND, SPRING, OFFSET = ("voltage_dead_band", 1), ("joint_spring", 2), ("voltage_offset", 2)
+BLOW = ("impulse", 1)
+
+
+def two_effects():
+    """Friction on joint 1 with 900 nat, then a spring on joint 2 with 300."""
+    first = trial(COULOMB, 900.0)
+    others = [trial(ASYMMETRIC, 901.0), trial(DEAD_BAND, 895.0), trial(SPRING, 40.0), trial(OFFSET, 35.0)]
+    others.append(trial(("stribeck_friction", 1), 700.0))
+    others.append(trial(("sensor_nonlinearity", 1), 1000.0, validation_gain=-1.0))
+    others.append(replace(trial(BLOW, 950.0), problem="it would need an impossible value: width 1, more than 0.15"))
+    second = trial(SPRING, 300.0)
+    rest = [trial(OFFSET, 298.0), trial(DEAD_BAND, -3.0), trial(("quadratic_friction", 3), 4.0)]
+    stages = (Stage((first, *others), 16.0, None, first), Stage((second, *rest), 16.0, None, second))
+    return state_of(stages, first, second)
+
+
+def test_an_effect_has_its_gain_over_the_model_without_it_everywhere():
+    rows = {row.key: row for row in standings(two_effects())}
+    assert (rows[SPRING].evidence, rows[SPRING].verdict) == (300.0, "named")
+    assert (rows[COULOMB].evidence, rows[COULOMB].verdict) == (900.0, "named")
+    # what could stand in for an effect: its gain in that place, not beside it
+    assert (rows[OFFSET].evidence, rows[OFFSET].verdict, rows[OFFSET].against) == (298.0, "tied", SPRING)
+    assert (rows[DEAD_BAND].evidence, rows[DEAD_BAND].against) == (895.0, COULOMB)
+    # of another joint: what it would add to all that was found
+    other = rows["quadratic_friction", 3]
+    assert (other.evidence, other.against) == (4.0, None) and other.verdict == "below the threshold of 16 nat"
+
+
+def test_what_is_enough_is_not_tied_with_what_contains_it():
+    rows = standings(two_effects())
+    assert ties(rows, COULOMB) == (Hypothesis(*DEAD_BAND),)
+    because = {(out.name, out.joint): out.because for out in ruled_out(rows, COULOMB)}
+    assert because[ASYMMETRIC] == "it contains Coulomb friction, which is enough"
+    # a look-alike that was never tried has no evidence
+    assert because["load_dependent_friction", 1].startswith("the screening gave it no evidence")
+    assert not {OFFSET, SPRING} & set(because)
+    # what has more evidence, and was refused, is no tie
+    refused = "100 nat more than Coulomb friction, but it does not lower the error on the validation set"
+    assert because["sensor_nonlinearity", 1] == refused
+
+
+def test_what_no_machine_has_is_no_rival():
+    e = replace(tied(), effects=tied().effects[:1], ranking=ranking(standings(two_effects())))
+    e = replace(e, effects=(replace(e.effects[0], name="coulomb_friction", joint=1, evidence=900.0, tied_with=()),))
+    found = rivals(replace(e, ranking=tuple(each for each in e.ranking if each.joint == 1)))
+    assert [(each.name, lead(e, each)) for each in found] == [
+        ("sensor_nonlinearity", -100.0),
+        ("voltage_dead_band", 5.0),
+    ]
+
+
+def test_an_effect_that_replaced_another_keeps_the_distances_of_the_stage():
+    accepted, rival, third = trial(DEAD_BAND, 100.0), trial(COULOMB, 95.0), trial(("torque_ripple", 1), 60.0)
+    stage = Stage((accepted, rival, third), 16.0, None, accepted)
+    state = state_of((stage,), Chosen.of(rival, (stage,), stage, 140.0))
+    rows = {row.key: row for row in standings(state)}
+    assert rows[COULOMB].evidence == 140.0
+    assert math.isnan(rows[DEAD_BAND].evidence) and "Coulomb friction explains more" in rows[DEAD_BAND].verdict
+    assert rows["torque_ripple", 1].evidence == 100.0
+
+
+@pytest.mark.parametrize("name", EXPLANATIONS)
+def test_the_examples_agree_with_themselves(name):
+    assert contradictions(json.loads(report_text(EXPLANATIONS[name]()))) == []
+
+
+def change_of(name: str):
+    """A change of a report by which it contradicts itself, for each check."""
+
+    def ranking_evidence(r):
+        r["ranking"][0]["evidence"] += 1.0
+
+    def not_excited(r):
+        row = next(d for d in r["detectability"] if (d["name"], d["joint"]) == ("voltage_dead_band", 2))
+        row["size"] = "NOT_EXCITED"
+
+    def other_experiment(r):
+        r["next_experiment"]["separate"][1]["name"] = "stribeck_friction"
+
+    def contains(r):
+        r["effects"][0]["tied_with"][0]["name"] = "asymmetric_coulomb_friction"
+
+    def wrong_lead(r):
+        row = next(each for each in r["ranking"] if each["verdict"].startswith("lower than"))
+        row["verdict"] = row["verdict"].replace("by ", "by 1")
+
+    def headline(r):
+        r["sentence"] = "the residual of joint 2 falls from 0.34 to 0.0123 V"
+
+    def shape(r):
+        r["verdict"] = "UNNAMED"
+
+    changes = (ranking_evidence, contains, wrong_lead, not_excited, other_experiment, headline, shape)
+    return dict(zip((check.__name__ for check in CHECKS), changes))[name]
+
+
+@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
+def test_each_check_finds_what_it_is_for(check):
+    report = json.loads(report_text(tied()))
+    changed = copy.deepcopy(report)
+    change_of(check.__name__)(changed)
+    assert list(check(report)) == [] and list(check(changed)) != []
+
+
+def test_the_page_gives_the_numbers_of_the_ranking():
+    e = tied()
+    rows = {name: (kind, gain, why) for kind, name, gain, _, why in shown(e)}
+    assert rows["Coulomb friction on joint\N{NO-BREAK SPACE}2"][:2] == ("named", "+1834")
+    kind, gain, why = rows["Voltage dead-band on joint\N{NO-BREAK SPACE}2"]
+    assert (kind, gain) == ("tied", "+1832") and "Coulomb friction" in why
+    assert told_next(e) and not told_next(replace(e, next_experiment=None))
