@@ -23,7 +23,7 @@ from puma_sim_core.recording.topics import (
     TOPICS,
     Topic,
 )
-from puma_sim_ros.messages import qos
+from puma_sim_ros.messages import LOSSLESS, qos
 
 #: topics on which a simulator listens
 _COMMANDS = (*ARRAY_COMMANDS.values(), JOINT_COMMANDS)
@@ -74,7 +74,7 @@ def publish_bag(path: str | Path, *, rate: float = 1.0, commands_only: bool | No
     try:
         publishers = {}
         for topic, kind in {message.topic: message.type for message in recorded}.items():
-            profile = qos(10, latched=topic == FIXED_FRAMES.name or is_one_of(topic, _LATCHED))
+            profile = qos(LOSSLESS, latched=topic == FIXED_FRAMES.name or is_one_of(topic, _LATCHED))
             publishers[topic] = node.create_publisher(_message_type(kind, topic), topic, profile)
 
         def simulator_runs() -> bool:

@@ -15,6 +15,10 @@ from std_msgs.msg import Float64MultiArray, Header
 from puma_sim_core.simulation.session import SessionState
 
 
+#: messages that may wait where each of them counts: half a minute at the rate of the robot
+LOSSLESS = 1000
+
+
 def qos(depth: int, *, latched: bool = False) -> QoSProfile:
     """Reliable, keep last `depth`; `latched` messages reach those who subscribe later, too."""
     durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE

@@ -36,7 +36,7 @@ from puma_sim_ros import node_parameters
 from puma_sim_ros.description import Description
 from puma_sim_ros.frames import FramePublisher
 from puma_sim_ros.health import Health
-from puma_sim_ros.messages import StatePublishers, qos
+from puma_sim_ros.messages import LOSSLESS, StatePublishers, qos
 from puma_sim_ros.node_bag import NodeBag
 from puma_sim_ros.pacing import Pacer
 from puma_sim_ros.peers import Peers
@@ -92,11 +92,11 @@ class SimNode(Node):
 
     def _make_topics(self) -> None:
         joints, frame = self._config.joint_names, self._config.frame_id
-        interface, last = self._config.command_interface, qos(10 if self._lockstep else 1)
+        interface, last = self._config.command_interface, qos(LOSSLESS if self._lockstep else 1)
         topics = [(Float64MultiArray, f"{interface}_controller/commands", self._on_values, last)]
         if interface == "position":
             # messages that name different joints add up: none of them may push out another
-            topics.append((JointState, "joint_commands", self._on_joints, qos(10)))
+            topics.append((JointState, "joint_commands", self._on_joints, qos(LOSSLESS)))
         names = [self.resolve_topic_name(name) for _, name, *_ in topics]
         self._peers = Peers(self, self.resolve_topic_name("joint_states"), names)
         events = self._peers.state_events()

@@ -21,7 +21,7 @@ from puma_sim_core.errors import PumaSimError
 from puma_sim_core.view.chain import chain_of_urdf
 from puma_sim_core.view.live import Live, Sample
 from puma_sim_core.view.server import HOST, address, serving
-from puma_sim_ros.messages import qos, stamp_ns
+from puma_sim_ros.messages import LOSSLESS, qos, stamp_ns
 
 PARAMETERS = {
     "simulator": ("sim_node", "Name of the simulator's node."),
@@ -40,7 +40,7 @@ _LONGEST_WAIT = 0.02
 #: from the simulator's model to the page [s]
 _DISCOVERY = 0.5
 #: states that wait while a page is drawn
-_STATES = qos(1000)
+_STATES = qos(LOSSLESS)
 _SETPOINTS = "position_controller/commands"
 
 
