@@ -14,7 +14,6 @@ from std_msgs.msg import Float64MultiArray, Header
 
 from puma_sim_core.simulation.session import SessionState
 
-
 #: messages that may wait where each of them counts: half a minute at the rate of the robot
 LOSSLESS = 1000
 
