@@ -14,22 +14,8 @@ import traceback
 from collections.abc import Callable, Sequence
 
 from puma_sim_core import __version__
-from puma_sim_core.cli import (
-    appraise,
-    excite,
-    explain,
-    explain_many,
-    identify_controller,
-    listing,
-    mechanism,
-    merge,
-    plot,
-    records,
-    simulate,
-    thesis,
-    tune,
-    view,
-)
+from puma_sim_core.cli import appraise, listing, merge, plot, records, simulate, thesis, tune, view
+from puma_sim_core.cli.identify import excite, explain, explain_many, identify_controller, mechanism
 from puma_sim_core.cli.output import LOG, reporting
 from puma_sim_core.cli.parser import Parser
 from puma_sim_core.errors import PumaSimError

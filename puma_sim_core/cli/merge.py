@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Merge, and print as the command without shards does."""
     from puma_sim_core.cli.appraise import merge_shards
-    from puma_sim_core.cli.explain_many import COMMAND_NAME, print_table
+    from puma_sim_core.cli.identify.explain_many import COMMAND_NAME, print_table
     from puma_sim_core.result_folder import ResultFolder, merged
 
     if options.out is None and len(options.folders) > 1:
