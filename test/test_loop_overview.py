@@ -169,6 +169,18 @@ def test_units_in_the_names_are_converted_with_a_note(file):
     assert [note.split()[6] for note in log.notes] == ["time", "voltage", "position"]
 
 
+def test_the_name_of_a_channel_may_have_its_unit_behind_it(file):
+    rows = [f"{10.0 * k!r},{float(np.sin(k))!r},{float(np.degrees(np.cos(k)))!r}" for k in range(50)]
+    file.write_text("\n".join(["time_ms,voltage1,position1_deg", *rows, ""]))
+    log = read_log(file, None, 1)
+    assert np.allclose(log.time, 0.01 * np.arange(50), rtol=1e-15)
+    assert np.allclose(log.position[:, 0], np.cos(np.arange(50)), rtol=1e-14)
+    # which of two is meant is not guessed
+    file.write_text("\n".join(["time_ms,voltage1,position1_deg,position1_rad", *(f"{row},0" for row in rows), ""]))
+    with pytest.raises(RecordingError, match="channel 'position1' is missing"):
+        read_log(file, None, 1)
+
+
 @pytest.mark.parametrize(
     "names, joints, expected",
     [

@@ -50,6 +50,15 @@ def unit_of(name: str, group: str) -> tuple[str, float]:
     return unit, _UNITS[group][unit.lower()] if unit else 1.0
 
 
+def own_column(channel: str, names: Sequence[str]) -> str | None:
+    """The column of a channel's own name, or the only one of that name with a unit behind it; None without one."""
+    if channel in names:
+        return channel
+    group = channel.rstrip("0123456789")
+    found = [name for name in names if _split(name, group)[0] == channel]
+    return found[0] if len(found) == 1 else None
+
+
 def units_of(group: str) -> Mapping[str, float]:
     """Unit -> factor to the unit of the format, of those that a group may have; none where nothing is converted."""
     return _UNITS.get(group, {})

@@ -17,7 +17,7 @@ import numpy as np
 
 from puma_sim_core.errors import RecordingError, one_of
 from puma_sim_core.files import whole_file
-from puma_sim_core.recording.column_names import unit_in
+from puma_sim_core.recording.column_names import own_column, unit_in
 from puma_sim_core.recording.csv_rows import CsvRows
 
 #: what a person should know beside the result
@@ -130,7 +130,7 @@ def _taken(rows: CsvRows, names: Sequence[str], columns: Mapping[str, str]) -> d
             expected = one_of(theirs, rows.names, f"the columns {', '.join(rows.names)}")
             raise RecordingError(f"no column '{theirs}' (asked for as {ours})", where=where, expected=expected)
     # a column that is given to another name is not also the one of its own name
-    own = {name: name for name in names if name in rows.names and name not in columns.values()}
+    own = {n: column for n in names if (column := own_column(n, rows.names)) and column not in columns.values()}
     taken = {name: column for name in names if (column := {**own, **columns}.get(name)) is not None}
     for column in taken.values():
         if rows.names.count(column) > 1:

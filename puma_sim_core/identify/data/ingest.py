@@ -20,7 +20,7 @@ from puma_sim_core.identify.arrays import Floats, Ints
 from puma_sim_core.identify.data.bag_log import read_bag_log
 from puma_sim_core.identify.data.log import Log, channels
 from puma_sim_core.identify.settings import DATA
-from puma_sim_core.recording.column_names import suggested, unit_in
+from puma_sim_core.recording.column_names import own_column, suggested, unit_in
 from puma_sim_core.recording.csv_rows import CsvRows
 
 #: groups of channels, in the order of a file; the first two must be there
@@ -126,11 +126,8 @@ def _taken(rows: CsvRows, columns: Mapping[str, str], inputs: Sequence[str]) -> 
             what = f"no column '{column}' (asked for as {channel})"
             raise RecordingError(what, where=where, expected=f"one of the columns {there}")
     # a column that the map gives to another channel is not also the one of its own name
-    taken = {
-        channel: columns.get(channel, channel)
-        for channel in known
-        if channel in columns or (channel in rows.names and channel not in columns.values())
-    }
+    own = {c: name for c in known if (name := own_column(c, rows.names)) and name not in columns.values()}
+    taken = {channel: {**own, **columns}[channel] for channel in known if channel in own or channel in columns}
     used: dict[str, str] = {}
     for channel, column in taken.items():
         if rows.names.count(column) > 1:
