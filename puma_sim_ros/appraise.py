@@ -31,7 +31,7 @@ from puma_sim_core.simulation.session_config import SessionConfig
 from puma_sim_ros.appraisal.command import words_of
 from puma_sim_ros.appraisal.topics import Topics
 from puma_sim_ros.appraisal.units import Units
-from puma_sim_ros.node_parameters import FORMS, of_ros
+from puma_sim_ros.node.parameters import FORMS, of_ros
 
 #: name -> default and meaning; those of `puma-sim appraise` that mean something here
 PARAMETERS: dict[str, tuple[Any, str]] = {

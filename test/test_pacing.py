@@ -8,7 +8,7 @@ import random
 
 import pytest
 
-from puma_sim_ros.pacing import Lateness, Pacer
+from puma_sim_ros.node.pacing import Lateness, Pacer
 
 PERIOD_NS = 28_000_000
 

@@ -195,7 +195,7 @@ def test_parameters_are_listed_set_and_dumped_and_loaded_again(ros2, node):
         (ros2, "param", "get", "/sim_node", "voltage_limit"),
         (ros2, "param", "describe", "/sim_node", "voltage_limit"),
     )
-    defaults = yaml.safe_load((ROOT / "puma_sim_ros" / "parameters.yaml").read_text())
+    defaults = yaml.safe_load((ROOT / "puma_sim_ros" / "node" / "parameters.yaml").read_text())
     assert set(defaults) <= set(listed.split())
     assert "Double value is: 40.0" in value
     assert "Greatest voltage" in text and "1000" in text

@@ -149,7 +149,7 @@ def test_an_external_controller_that_cannot_be_is_named():
 
 def test_the_files_of_parameters_have_the_defaults_of_the_nodes():
     from puma_sim_ros.external_controller import PARAMETERS as external
-    from puma_sim_ros.node_parameters import PARAMETERS as node
+    from puma_sim_ros.node.parameters import PARAMETERS as node
 
     def flat(values, prefix=""):
         for name, value in values.items():

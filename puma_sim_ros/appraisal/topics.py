@@ -18,7 +18,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from puma_sim_core.appraisal.settings import SETPOINT_PERIOD, Patience
 from puma_sim_core.appraisal.trials.trial import Ending
 from puma_sim_ros.messages import qos
-from puma_sim_ros.peers import UNKNOWN
+from puma_sim_ros.node.peers import UNKNOWN
 
 STATES, SETPOINTS, REFERENCE = "joint_states", "setpoint", "reference"
 #: commands that wait: as many as a process that answers more than once may send before it is found out

@@ -23,8 +23,8 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from puma_sim_core.arm.parameters import load_parameters
 from puma_sim_core.effects import KINDS
 from puma_sim_core.simulation.replay import replay
-from puma_sim_ros.node_parameters import PARAMETERS
-from puma_sim_ros.trajectories import TOPIC
+from puma_sim_ros.node.parameters import PARAMETERS
+from puma_sim_ros.node.trajectories import TOPIC
 
 #: what the queues of the node hold
 _ROUND = 10

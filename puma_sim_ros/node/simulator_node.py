@@ -32,15 +32,15 @@ from puma_sim_core.compiling import Compilation
 from puma_sim_core.errors import CommandError, NonFiniteStateError, PumaSimError
 from puma_sim_core.simulation.session import Command, Effects, Placement, Session
 from puma_sim_core.simulation.session_config import SessionConfig
-from puma_sim_ros import node_parameters
-from puma_sim_ros.description import Description
-from puma_sim_ros.frames import FramePublisher
-from puma_sim_ros.health import Health
 from puma_sim_ros.messages import LOSSLESS, StatePublishers, qos
-from puma_sim_ros.node_bag import NodeBag
-from puma_sim_ros.pacing import Pacer
-from puma_sim_ros.peers import Peers
-from puma_sim_ros.trajectories import TOPIC, Following
+from puma_sim_ros.node import parameters
+from puma_sim_ros.node.bag import NodeBag
+from puma_sim_ros.node.description import Description
+from puma_sim_ros.node.frames import FramePublisher
+from puma_sim_ros.node.health import Health
+from puma_sim_ros.node.pacing import Pacer
+from puma_sim_ros.node.peers import Peers
+from puma_sim_ros.node.trajectories import TOPIC, Following
 
 #: longest wait [s] before the loop looks at signals again
 _LONGEST_WAIT = 0.1
@@ -62,11 +62,11 @@ class SimNode(Node):
 
     def __init__(self) -> None:
         super().__init__("sim_node", automatically_declare_parameters_from_overrides=True)
-        self._values, unknown = node_parameters.declare(self)
+        self._values, unknown = parameters.declare(self)
         for name in unknown:
             self.get_logger().warning(f"parameter '{name}': this node has none of that name")
-        self._plant = node_parameters.build_plant(self._values)
-        self._config = node_parameters.build_config(self._values, self._plant)
+        self._plant = parameters.build_plant(self._values)
+        self._config = parameters.build_config(self._values, self._plant)
         Compilation(self.get_logger().info, lambda: _warm_up(self._config))
         self._session = Session(self._config)
         self._compiled = self._session.compiled
@@ -253,7 +253,7 @@ class SimNode(Node):
     def _on_reset(self, _request, response):
         former = self._config
         try:
-            self._config = node_parameters.build_config(self._values, self._plant)
+            self._config = parameters.build_config(self._values, self._plant)
             session = Session(self._config)
             self._bag.start(self._config, *self._describe.texts(self._config), session.state)
         except PumaSimError as error:
@@ -312,16 +312,16 @@ class SimNode(Node):
                 self._check_room()
             except CommandError as error:
                 return SetParametersResult(successful=False, reason=str(error))
-        return node_parameters.check_change(changes, self._values, self._plant)
+        return parameters.check_change(changes, self._values, self._plant)
 
     def _on_changed(self, changes) -> None:
-        changed = node_parameters.values_of(changes)
+        changed = parameters.values_of(changes)
         self._values.update(changed)
         factor = self._values["real_time_factor"]
         if self._pacer.real_time_factor != factor:
             self._pacer.real_time_factor = factor
         if "effects" in changed:
-            self._plant = node_parameters.with_effects(self._plant, self._values)
+            self._plant = parameters.with_effects(self._plant, self._values)
             self._inputs.append(self._session.use_effects(self._plant.effects))
             self._config = replace(self._config, plant=self._plant)
             self._publish_model()

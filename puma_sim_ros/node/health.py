@@ -9,7 +9,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from puma_sim_core.jit import kernel_in_use
 from puma_sim_core.simulation.session import Counters, Session
 from puma_sim_ros.messages import diagnostics
-from puma_sim_ros.pacing import Pacer
+from puma_sim_ros.node.pacing import Pacer
 
 #: field of `Counters` -> what it counts
 _COUNTED = {
