@@ -7,9 +7,9 @@ from math import pi
 
 import numpy as np
 
-from puma_sim_core.plant.linkage_file import read_linkage
-from puma_sim_core.plant.linkage_mechanism import LinkageMechanism
-from puma_sim_core.plant.linkage_plant import LinkagePlant
+from puma_sim_core.plant.linkage.linkage_file import read_linkage
+from puma_sim_core.plant.linkage.linkage_mechanism import LinkageMechanism
+from puma_sim_core.plant.linkage.linkage_plant import LinkagePlant
 from puma_sim_core.plant.mechanism import MECHANISM_FORMAT
 
 #: mass, length, centre, across, beside [kg, m], and inertia, along, across [kg m^2] of the links

@@ -8,8 +8,8 @@ import numpy as np
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.effects.screening import Signals
 from puma_sim_core.files import read_yaml
-from puma_sim_core.plant.linkage_file import read_linkage
-from puma_sim_core.plant.linkage_plant import LinkagePlant
+from puma_sim_core.plant.linkage.linkage_file import read_linkage
+from puma_sim_core.plant.linkage.linkage_plant import LinkagePlant
 from puma_sim_core.resources import config_path
 
 NAMES = ("puma560", "pendulum", "slide")

@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 from puma_sim_core.checks import Reader
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.errors import ParameterError
-from puma_sim_core.plant.linkage_file import check_bodies
+from puma_sim_core.plant.linkage.linkage_file import check_bodies
 from puma_sim_core.plant.mechanism_file import load_mechanism
 from puma_sim_core.plant.model_file import dump_model, load_model
 from puma_sim_core.simulation.simulator import Simulator

@@ -21,8 +21,8 @@ from screening_support import recorded, signals_of, torque_per_ampere
 from puma_sim_core.effects import KINDS, Effect, parse_effect
 from puma_sim_core.effects.base import Role
 from puma_sim_core.identify.screening.known_effects import known_voltage
-from puma_sim_core.plant.linkage_file import linkage_mapping, read_linkage
-from puma_sim_core.plant.linkage_plant import LinkagePlant
+from puma_sim_core.plant.linkage.linkage_file import linkage_mapping, read_linkage
+from puma_sim_core.plant.linkage.linkage_plant import LinkagePlant
 from puma_sim_core.plant.mechanism_file import load_mechanism
 from puma_sim_core.simulation.batch import InitialState, run_batch
 from puma_sim_core.simulation.conditions import Constraint

@@ -15,7 +15,7 @@ from puma_sim_core.identify.data.machine_log import read_for, with_volts
 from puma_sim_core.identify.experiment.design import suspects_of
 from puma_sim_core.identify.experiment.next_experiment import next_experiment
 from puma_sim_core.identify.result import Hypothesis
-from puma_sim_core.plant.linkage_mechanism import LinkageMechanism
+from puma_sim_core.plant.linkage.linkage_mechanism import LinkageMechanism
 from puma_sim_core.simulation.simulator import Simulator
 
 GAIN, DAMPING, LIMIT = 40.0, 1.5, 6.0

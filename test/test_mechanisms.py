@@ -19,7 +19,7 @@ from puma_sim_core.effects import parse_effect
 from puma_sim_core.errors import ModelError, ParameterError, PumaSimError
 from puma_sim_core.files import yaml_text
 from puma_sim_core.identify.screening.known_effects import known_voltage
-from puma_sim_core.plant.linkage_file import read_linkage
+from puma_sim_core.plant.linkage.linkage_file import read_linkage
 from puma_sim_core.plant.mechanism_file import load_mechanism, mechanism_names
 from puma_sim_core.plant.model_file import dump_model, load_model, plant_of_mapping
 from puma_sim_core.plant.plant import Plant

@@ -36,8 +36,8 @@ from rigs_support import effect, outcome, report
 
 from puma_sim_core.effects import KINDS
 from puma_sim_core.files import read_yaml
-from puma_sim_core.plant.linkage_file import read_linkage
-from puma_sim_core.plant.linkage_plant import LinkagePlant
+from puma_sim_core.plant.linkage.linkage_file import read_linkage
+from puma_sim_core.plant.linkage.linkage_plant import LinkagePlant
 from puma_sim_core.resources import config_path
 from puma_sim_core.simulation.simulator import Simulator
 

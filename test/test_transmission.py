@@ -26,7 +26,7 @@ from two_mass_support import (
 from puma_sim_core.arm.rigid_body import gravity_torque, inertia
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.effects.shared.drive_train import gear_output, in_series, transmitted
-from puma_sim_core.plant.linkage_plant import LinkagePlant
+from puma_sim_core.plant.linkage.linkage_plant import LinkagePlant
 from puma_sim_core.plant.mechanism_file import load_mechanism
 from puma_sim_core.simulation.conditions import Constraint
 from puma_sim_core.simulation.simulator import Simulator

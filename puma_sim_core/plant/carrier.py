@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from puma_sim_core.arm.arm import ArmParameters, Link, Motor
 from puma_sim_core.arm.rigid_body import Lumps
 from puma_sim_core.errors import ParameterError
-from puma_sim_core.plant.linkage import BASE, ELBOW, SHOULDER, SINGLE, Axis, Linkage
+from puma_sim_core.plant.linkage.linkage import BASE, ELBOW, SHOULDER, SINGLE, Axis, Linkage
 
 _MOTOR = ("resistance", "inductance", "back_emf", "torque_constant", "gear_ratio")
 _CENTRE = (0.0, 0.0, 0.0)

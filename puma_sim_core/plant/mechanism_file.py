@@ -21,8 +21,8 @@ from puma_sim_core.checks import Reader
 from puma_sim_core.errors import ParameterError, one_of
 from puma_sim_core.files import places_of_keys, read_yaml
 from puma_sim_core.plant.arm_mechanism import WIDTHS, ArmMechanism
-from puma_sim_core.plant.linkage_file import check_bodies, read_linkage
-from puma_sim_core.plant.linkage_mechanism import LinkageMechanism
+from puma_sim_core.plant.linkage.linkage_file import check_bodies, read_linkage
+from puma_sim_core.plant.linkage.linkage_mechanism import LinkageMechanism
 from puma_sim_core.plant.mechanism import MECHANISM_FORMAT, Mechanism
 from puma_sim_core.plant.model_file import load_model
 from puma_sim_core.resources import config_path

@@ -7,7 +7,7 @@ from typing import Any
 
 from puma_sim_core.errors import ModelError
 from puma_sim_core.files import read_yaml, write_yaml
-from puma_sim_core.plant.linkage_plant import LinkagePlant
+from puma_sim_core.plant.linkage.linkage_plant import LinkagePlant
 from puma_sim_core.plant.plant import MODEL_FORMAT, Plant
 
 

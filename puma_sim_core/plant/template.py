@@ -6,8 +6,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from puma_sim_core.errors import ParameterError
-from puma_sim_core.plant.linkage import BASE, ELBOW, HELD, PLACES, SHOULDER
-from puma_sim_core.plant.linkage_file import body_quantities, link_quantities
+from puma_sim_core.plant.linkage.linkage import BASE, ELBOW, HELD, PLACES, SHOULDER
+from puma_sim_core.plant.linkage.linkage_file import body_quantities, link_quantities
 from puma_sim_core.plant.mechanism import MECHANISM_FORMAT
 from puma_sim_core.plant.quantities import AMPLIFIERS, DRIVES, GRAVITY, KNOWN, Quantity
 from puma_sim_core.resources import config_path

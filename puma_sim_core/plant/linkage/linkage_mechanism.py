@@ -13,8 +13,8 @@ from puma_sim_core.arm.arm import ArmParameters
 from puma_sim_core.effects import KINDS, Effect
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.plant.carrier import carrier, layout_of
-from puma_sim_core.plant.linkage import PASSIVE, POSITION, Axis, Linkage
-from puma_sim_core.plant.linkage_plant import LinkagePlant, obstacle
+from puma_sim_core.plant.linkage.linkage import PASSIVE, POSITION, Axis, Linkage
+from puma_sim_core.plant.linkage.linkage_plant import LinkagePlant, obstacle
 from puma_sim_core.plant.lumped import LumpedMechanism
 from puma_sim_core.plant.mechanism import Drive, PositionServo
 from puma_sim_core.plant.plant import Plant

@@ -16,8 +16,8 @@ from puma_sim_core.effects import VISCOUS, Effect, Kind
 from puma_sim_core.effects.base import CURRENT, ROTOR_INERTIA, SEVERAL_JOINTS, VOLTAGE, VOLTAGE_DRIVE
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.plant.carrier import Layout, carrier, layout_of, turned
-from puma_sim_core.plant.linkage import BASE, PASSIVE, Axis, Linkage
-from puma_sim_core.plant.linkage_file import linkage_mapping, read_linkage
+from puma_sim_core.plant.linkage.linkage import BASE, PASSIVE, Axis, Linkage
+from puma_sim_core.plant.linkage.linkage_file import linkage_mapping, read_linkage
 from puma_sim_core.plant.plant import MODEL_FORMAT, Plant, effect_mapping, effects_of_mapping, made_of_model
 
 

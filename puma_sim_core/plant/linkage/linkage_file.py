@@ -10,7 +10,18 @@ from puma_sim_core.arm.parameters import smallest_eigenvalue
 from puma_sim_core.checks import Reader
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.plant.carrier import carrier, layout_of
-from puma_sim_core.plant.linkage import BASE, ELBOW, HELD, PASSIVE, PLACES, POSITION, SHOULDER, SINGLE, Axis, Linkage
+from puma_sim_core.plant.linkage.linkage import (
+    BASE,
+    ELBOW,
+    HELD,
+    PASSIVE,
+    PLACES,
+    POSITION,
+    SHOULDER,
+    SINGLE,
+    Axis,
+    Linkage,
+)
 from puma_sim_core.plant.mechanism import MECHANISM_FORMAT, MechanismParameter
 from puma_sim_core.plant.quantities import BASE_LINK, BODY, DRIVES, GRAVITY, KNOWN, LINK, Quantity
 
