@@ -59,36 +59,39 @@ class InverseDynamics:
         self._per_torque = tuple(m.resistance / kT for m, kT in zip(plain.arm.motors, plain.torque_per_ampere))
         self.back_emf = tuple(m.back_emf * m.gear_ratio for m in plain.arm.motors)
 
-    def terms(self, q: Sequence[float], velocity: Sequence[float]) -> tuple[tuple[Triple, Triple, Triple], Triple]:
-        """(M, bias): rows of D + Ia [kg.m^2], and C(q, v) + G(q) [N.m].
+    def terms(self, q: Sequence[float], velocity: Sequence[float]) -> tuple[float, ...]:
+        """(M11, M12, M13, M22, M23, M33, b1, b2, b3): M = D + Ia [kg.m^2], b = -C(q, v) - G(q) [N.m].
 
         q (3,) [rad], velocity (3,) [rad/s].
         """
-        u = q[1] + q[2]
-        m11, m12, m13, m22, m23, m33, b1, b2, b3 = _rigid_body(
-            *velocity, 0.0, 0.0, 0.0, (sin(q[1]), cos(q[1]), sin(u), cos(u)), self._body
-        )
-        return ((m11, m12, m13), (m12, m22, m23), (m13, m23, m33)), (-b1, -b2, -b3)
+        _, q2, q3 = q
+        u = q2 + q3
+        found: tuple[float, ...] = _rigid_body(*velocity, 0.0, 0.0, 0.0, (sin(q2), cos(q2), sin(u), cos(u)), self._body)
+        return found
 
     def combined(
-        self, mass: Sequence[Triple], bias: Sequence[float], acceleration: Sequence[float], turning: Sequence[float]
-    ) -> list[float]:
+        self, terms: Sequence[float], acceleration: Sequence[float], turning: Sequence[float]
+    ) -> tuple[float, float, float]:
         """Volts from `terms`, accelerations (3,) [rad/s^2], and the velocities (3,) [rad/s] of
         which the back-EMF is taken."""
+        m11, m12, m13, m22, m23, m33, b1, b2, b3 = terms
         a1, a2, a3 = acceleration
-        volts = []
-        for j, (m1, m2, m3) in enumerate(mass):
-            torque = m1 * a1 + m2 * a2 + m3 * a3 + bias[j]
-            volts.append(self._per_torque[j] * torque + self.back_emf[j] * turning[j])
-        return volts
+        w1, w2, w3 = turning
+        (k1, k2, k3), (e1, e2, e3) = self._per_torque, self.back_emf
+        return (
+            k1 * (m11 * a1 + m12 * a2 + m13 * a3 - b1) + e1 * w1,
+            k2 * (m12 * a1 + m22 * a2 + m23 * a3 - b2) + e2 * w2,
+            k3 * (m13 * a1 + m23 * a2 + m33 * a3 - b3) + e3 * w3,
+        )
 
     def voltages(self, q: Sequence[float], velocity: Sequence[float], acceleration: Sequence[float]) -> list[float]:
         """Volts that a motion needs: q [rad], velocity [rad/s], acceleration [rad/s^2], (3,)."""
-        return self.combined(*self.terms(q, velocity), acceleration, velocity)
+        return list(self.combined(self.terms(q, velocity), acceleration, velocity))
 
-    def own_damping(self, mass: Sequence[Triple]) -> tuple[float, ...]:
-        """Damping [1/s] that the back-EMF gives each joint alone; mass : rows of D + Ia."""
-        return tuple(e / (k * mass[j][j]) for j, (e, k) in enumerate(zip(self.back_emf, self._per_torque)))
+    def own_damping(self, terms: Sequence[float]) -> tuple[float, ...]:
+        """Damping [1/s] that the back-EMF gives each joint alone."""
+        inertias = terms[0], terms[3], terms[5]
+        return tuple(e / (k * m) for e, k, m in zip(self.back_emf, self._per_torque, inertias))
 
 
 @dataclass(frozen=True)
@@ -154,7 +157,9 @@ class ComputedTorque:
         velocity = [min(v, w) for v, w in zip(settings.greatest_velocity, reachable)]
         bounds = Bounds(velocity, settings.greatest_acceleration, settings.lead)
         self.reference = SetpointReference(self.period, setpoint_period, bounds, _WHERE)
-        self._bandwidth = tuple(map(float, settings.bandwidth))
+        bandwidth = tuple(map(float, settings.bandwidth))
+        # of each joint: of the error's rate, of the error, and of its sum beside that
+        self._gains = [(3.0 * b, b * b, b) for b in bandwidth]
         self._measured = settings.back_emf == "measured"
         self._filter = 1.0 - exp(-self.period * settings.velocity_filter)
         self.reset()
@@ -162,33 +167,47 @@ class ComputedTorque:
     def reset(self) -> None:
         """Forget the past: no sum, at rest at the next sample."""
         self.reference.reset()
-        self._sum = [0.0, 0.0, 0.0]
-        self._before: list[float] | None = None
-        self._velocity = [0.0, 0.0, 0.0]
+        self._sum, self._velocity = _NOTHING, _NOTHING
+        self._before: Triple | None = None
 
     def update(self, t: float, setpoint: Sequence[float], measurement: Sequence[float]) -> tuple[float, ...]:
         """Volts for one sample at time t [s]; setpoint and measurement (3,) [rad]."""
         check_three_each(setpoint, measurement, _WHERE)
-        q = [float(y) for y in measurement]
-        h, c, limit = self.period, self._filter, self.limit
-        before, v = self._before or q, self._velocity
-        for j, y in enumerate(q):
-            v[j] += c * ((y - before[j]) / h - v[j])
-        self._before = q
-        wanted = self.reference.update(setpoint, q)
-        mass, bias = self.dynamics.terms(q, v)
-        damped = _NOTHING if self._measured else self.dynamics.own_damping(mass)
-        acceleration, errors, sums, turning = [], [], [], []
-        for j, (r, rd, rdd) in enumerate(wanted):
-            b, e = self._bandwidth[j], r - q[j]
-            total = self._sum[j] + h * e
-            acceleration.append(rdd + max(3.0 * b - damped[j], 0.0) * (rd - v[j]) + b * b * (3.0 * e + b * total))
-            errors.append(e)
-            sums.append(total)
-            turning.append(rd)
-        volts = self.dynamics.combined(mass, bias, acceleration, v if self._measured else turning)
-        for j, u in enumerate(volts):
-            if abs(u) <= limit or errors[j] * u < 0.0:
-                self._sum[j] = sums[j]
-            volts[j] = min(max(u, -limit), limit) / self._amplifier
-        return tuple(volts)
+        # joint by joint, without loops: a third of the time, and an appraisal calls this a thousand times a second
+        q1, q2, q3 = map(float, measurement)
+        q = (q1, q2, q3)
+        h, c = self.period, self._filter
+        (p1, p2, p3), (v1, v2, v3), (s1, s2, s3) = self._before or q, self._velocity, self._sum
+        v1 += c * ((q1 - p1) / h - v1)
+        v2 += c * ((q2 - p2) / h - v2)
+        v3 += c * ((q3 - p3) / h - v3)
+        self._before, self._velocity = q, (v1, v2, v3)
+        (r1, rd1, rdd1), (r2, rd2, rdd2), (r3, rd3, rdd3) = self.reference.update(setpoint, q)
+        terms = self.dynamics.terms(q, (v1, v2, v3))
+        (d1, k1, b1), (d2, k2, b2), (d3, k3, b3) = self._gains
+        turning = (v1, v2, v3)
+        if not self._measured:
+            turning = (rd1, rd2, rd3)
+            own1, own2, own3 = self.dynamics.own_damping(terms)
+            d1, d2, d3 = max(d1 - own1, 0.0), max(d2 - own2, 0.0), max(d3 - own3, 0.0)
+        e1, e2, e3 = r1 - q1, r2 - q2, r3 - q3
+        n1, n2, n3 = s1 + h * e1, s2 + h * e2, s3 + h * e3
+        acceleration = (
+            rdd1 + d1 * (rd1 - v1) + k1 * (3.0 * e1 + b1 * n1),
+            rdd2 + d2 * (rd2 - v2) + k2 * (3.0 * e2 + b2 * n2),
+            rdd3 + d3 * (rd3 - v3) + k3 * (3.0 * e3 + b3 * n3),
+        )
+        u1, u2, u3 = self.dynamics.combined(terms, acceleration, turning)
+        limit, amplifier = self.limit, self._amplifier
+        if not -limit <= u1 <= limit:
+            u1, n1 = self._limited(u1, e1, s1, n1)
+        if not -limit <= u2 <= limit:
+            u2, n2 = self._limited(u2, e2, s2, n2)
+        if not -limit <= u3 <= limit:
+            u3, n3 = self._limited(u3, e3, s3, n3)
+        self._sum = (n1, n2, n3)
+        return u1 / amplifier, u2 / amplifier, u3 / amplifier
+
+    def _limited(self, u: float, error: float, before: float, after: float) -> tuple[float, float]:
+        """Voltage and sum of a joint that is at its limit: an error that drives it further is not added."""
+        return min(max(u, -self.limit), self.limit), after if error * u < 0.0 else before
