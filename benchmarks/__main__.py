@@ -148,6 +148,8 @@ def targets(bench: Bench, times: np.ndarray, imports: dict[str, list[float]]) ->
         ),
         Target("appraisal, PID in the kernel: times real time", real_time(trials.COMPILED), False, 1500.0),
         Target("appraisal, PID as an object: times real time", real_time(trials.OBJECT), False, 150.0),
+        Target("appraisal, scheduled PID as an object: times real time", real_time(trials.SCHEDULED), False, 150.0),
+        Target("appraisal, computed torque as an object: times real time", real_time(trials.TORQUE), False, 150.0),
         Target("appraisal over topics: times real time", real_time(topics.LABEL), False, 20.0),
         *(
             Target(f"import {module} without numba", table.Spread.of(seconds), True, 0.3, " s")

@@ -21,6 +21,7 @@ from puma_sim_core.jit import BACKEND
 COMPILED = "appraisal, a trial, PID in the kernel"
 OBJECT = "appraisal, a trial, PID as a Python object"
 EMPTY = "appraisal, a trial, an object that gives 0 V"
+SCHEDULED = "appraisal, a trial, scheduled PID as an object"
 TORQUE = "appraisal, a trial, computed torque as an object"
 MEASURED = "appraisal, a trial and its measures, PID in the kernel"
 
@@ -43,7 +44,7 @@ def rows(_: Motion) -> list[Row]:
     setting = Battery(("pid",), "quick").setting
     task, arm = setting.tasks["poses"], setting.nominal.arm
     conditions = setting.drawing.conditions("nominal", 0, 0.0)
-    pid, torque = make("pid", setting.models), make("computed_torque", setting.models)
+    pid, scheduled, torque = (make(name, setting.models) for name in ("pid", "scheduled", "computed_torque"))
 
     def trial() -> Trial:
         return Trial(task, conditions, arm, PERIOD)
@@ -67,5 +68,6 @@ def rows(_: Motion) -> list[Row]:
         row(MEASURED, measured, 5),
         row(EMPTY, lambda: trial().run(_Zero()), 2, "what the appraisal itself needs"),
         row(OBJECT, lambda: trial().run(pid.controller), 2),
+        row(SCHEDULED, lambda: trial().run(scheduled.controller), 2),
         row(TORQUE, lambda: trial().run(torque.controller), 2),
     ]
