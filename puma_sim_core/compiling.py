@@ -11,7 +11,7 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 from puma_sim_core import jit
@@ -29,6 +29,7 @@ def lacks_numba() -> bool:
 class Compilation:
     """Parts of the kernel that are not in the cache, on their way.
 
+    parts : which, `jit.PARTS` by default.
     say : takes what a person should know; load : what to run in a thread of its own once the parts are there, so that a
     first use need not load them; patient : a first run waits for all parts, for work that takes longer without.
 
@@ -36,12 +37,18 @@ class Compilation:
     first use then loads or compiles in this process.
     """
 
-    def __init__(self, say: Callable[[str], None], load: Callable[[], None] | None = None, patient: bool = False):
+    def __init__(
+        self,
+        say: Callable[[str], None],
+        load: Callable[[], None] | None = None,
+        patient: bool = False,
+        parts: Sequence[str] = jit.PARTS,
+    ):
         self._say, self._load, self._patient = say, load, patient
         self._process: subprocess.Popen[bytes] | None = None
         self._thread: threading.Thread | None = None
         chosen = os.environ.get("PUMA_SIM_KERNEL", "auto") == "auto" and jit.BACKEND == "numba"
-        missing = [part for part in jit.PARTS if chosen and not _is_there(part)]
+        missing = [part for part in parts if chosen and not _is_there(part)]
         if not missing:
             return
         for part in missing:
@@ -49,7 +56,7 @@ class Compilation:
         self._log = jit.compiled_mark("log")
         with open(str(self._log), "ab") as log:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "puma_sim_core.identify.compile_ahead", "--behind"],
+                [sys.executable, "-m", "puma_sim_core.identify.compile_ahead", "--behind", *missing],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,

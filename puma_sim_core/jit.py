@@ -152,6 +152,8 @@ else:
 #: parts of the kernel, in the order in which they are compiled ahead: an arm whose links follow its motors, one with
 #: drive trains, and what `explain` runs beside them
 PARTS = ("arm", "trains", "identification")
+#: those of `appraise`: the last has single samples, for controllers that are Python objects
+APPRAISAL_PARTS = ("arm", "trains", "trials")
 #: those that run as plain Python for now -> whether they still have to
 _AWAITED: dict[str, Callable[[], bool]] = {}
 _HERE = threading.local()

@@ -17,7 +17,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from puma_sim_core.appraisal import controllers
-from puma_sim_core.appraisal.appraise import run_battery
+from puma_sim_core.appraisal.appraise import check_controllers, run_battery
 from puma_sim_core.appraisal.battery import Battery
 from puma_sim_core.appraisal.controllers import Process
 from puma_sim_core.appraisal.report.output import bag_limit, check_report_folder, write_report
@@ -131,9 +131,7 @@ def run(node: Node) -> list[str]:
         if not value > 0.0:
             raise ParameterError(repr(value), where=f"parameter '{name}_timeout'", expected="a positive number")
     patience, bags = Patience()._replace(**timeouts), bag_limit(values["bags"] or None, battery)
-    others = [name for name in battery.controllers if name not in {process.name for process in battery.processes}]
-    for name in others:
-        controllers.make(name, battery.setting.models)
+    check_controllers(battery)
     check_report_folder(out)
     if values["jobs"] < 0:
         raise ParameterError(repr(values["jobs"]), where="parameter 'jobs'", expected="a whole number from 0 on")
@@ -142,7 +140,7 @@ def run(node: Node) -> list[str]:
         open_executor(values["jobs"] or None) as elsewhere,
         _ending(Units(battery, topics, patience, elsewhere)) as units,
     ):
-        start_at_once(patient=True).wait()
+        start_at_once(patient=True, trials=True).wait()
         if strangers := topics.strangers(_STRANGERS):
             what, expected = (
                 f"{', '.join(strangers)} sends commands",

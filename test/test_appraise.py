@@ -231,6 +231,27 @@ def test_the_margins_of_an_object_that_is_not_linear_are_injected(bad):
 
 
 @pytest.mark.parametrize(
+    ("method", "message"),
+    [
+        ("update(self, t, setpoint, measurement): return 0.0, 0.0", "update gave (0.0, 0.0) at 0.0000 s, not three"),
+        ("update(self, t, setpoint, measurement): return setpoint, 0.0, 0.0", "not three numbers"),
+        ("update(self, t, setpoint, measurement): return self.gain, 0.0, 0.0", "has no attribute 'gain'"),
+        ("update(self, t): return 0.0, 0.0, 0.0", "TypeError"),
+        ("update(self, *_): import os; os._exit(4)", "its process ended with status 4"),
+    ],
+)
+def test_a_class_that_cannot_answer_is_refused_before_anything_is_done(method, message, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delitem(sys.modules, "cannot_answer", raising=False)
+    (tmp_path / "cannot_answer.py").write_text(f"class C:\n period = 0.028\n def reset(self): 0\n def {method}\n")
+    assert main(["appraise", "cannot_answer:C", "--out", "board"]) == 2
+    said = capsys.readouterr().err
+    assert "controller cannot_answer:C: " in said and message in said
+    assert "expected update(t, setpoint, measurement) that answers with three voltages" in said
+    assert len(said.splitlines()) == 1 and not (tmp_path / "board").exists()
+
+
+@pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["nobody"], "unknown controller 'nobody'; expected module:Class, or one of those of"),

@@ -4,16 +4,20 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import Executor
 from typing import Any
 
 from puma_sim_core.appraisal import controllers
 from puma_sim_core.appraisal.battery import FAILS_ALL, PASSES_ALL, Battery, Unit
+from puma_sim_core.appraisal.settings import Patience
 from puma_sim_core.appraisal.store import Results, Store, open_store
+from puma_sim_core.appraisal.trials.guard import Watched, in_child
+from puma_sim_core.appraisal.trials.trial import Sample, driven
 from puma_sim_core.appraisal.work import Job, run_unit
-from puma_sim_core.errors import PumaSimError
+from puma_sim_core.errors import ParameterError, PumaSimError
 from puma_sim_core.executors import Failure, Shard, run_jobs
+from puma_sim_core.simulation.feedback import Controller
 
 
 class BatteryError(PumaSimError):
@@ -21,12 +25,33 @@ class BatteryError(PumaSimError):
 
 
 def check_controllers(battery: Battery) -> None:
-    """Make each controller once, so that what cannot be made is refused before any work.
+    """Make each controller once, and have a class of the user's answer once, in a process of its own: what cannot be
+    made, or gives something else than three numbers from the start, is refused before any work.
 
     Raises ParameterError: names the controller, what is wrong and what was expected.
     """
+    over_topics = {process.name for process in battery.processes}
     for name in battery.controllers:
-        controllers.make(name, battery.setting.models)
+        if name not in over_topics:
+            made = controllers.make(name, battery.setting.models)
+            if controllers.is_foreign(name):
+                _check_answer(name, made.controller, next(iter(battery.setting.tasks.values())).start)
+
+
+def _check_answer(name: str, controller: Controller, start: tuple[float, ...], patience: Patience = Patience()) -> None:
+    def sample() -> Generator[Sample, Sequence[float], None]:
+        first, second, third = start
+        u, v, w = yield 0.0, (first, second, third), (first, second, third)
+        float(u), float(v), float(w)
+
+    def work(send: Callable[[Any], None]) -> None:
+        send(driven(sample(), Watched(controller, patience)))
+
+    sent, ended = in_child(work, patience.start)
+    why = ended.why if not sent else sent[0] and sent[0][1]
+    if why:
+        expected = "update(t, setpoint, measurement) that answers with three voltages"
+        raise ParameterError(why, where=f"controller {name}", expected=expected)
 
 
 def run_battery(

@@ -99,7 +99,7 @@ def _appraise(options: argparse.Namespace) -> int:
     check_controllers(battery)
     check_report_folder(options.out)
     # each trial is run by another process, which would compile by itself
-    start_at_once(patient=True).wait()
+    start_at_once(patient=True, trials=True).wait()
     with Progress() as shown, open_executor(jobs, options.scheduler) as executor:
         results = run_battery(battery, options.out, executor, shard, TimeLeft(shown))
         if shard.parts > 1:

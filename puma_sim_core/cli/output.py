@@ -184,11 +184,14 @@ WITHOUT_NUMBA = (
 )
 
 
-def start_at_once(patient: bool = False) -> Compilation:
+def start_at_once(patient: bool = False, trials: bool = False) -> Compilation:
     """Begin as plain Python where the model is not compiled yet, or wait for it when it is needed (patient); say so on
-    standard error."""
+    standard error. trials : what an appraisal runs is needed, not what `explain` does."""
+    from puma_sim_core import jit
     from puma_sim_core.compiling import Compilation, lacks_numba
 
     if patient and lacks_numba():
         LOG.warning("puma-sim: %s", WITHOUT_NUMBA)
-    return Compilation(lambda text: LOG.info("puma-sim: %s", text), patient=patient)
+    return Compilation(
+        lambda text: LOG.info("puma-sim: %s", text), patient=patient, parts=jit.APPRAISAL_PARTS if trials else jit.PARTS
+    )

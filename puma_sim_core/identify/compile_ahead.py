@@ -1,9 +1,9 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Compile the kernel ahead of its first use, part by part.
 
-`python -m puma_sim_core.identify.compile_ahead` takes the better part of a minute; what it makes is kept
-on the disk, for this user and these sources. What is there already is left alone, and of several of these processes one
-works while the others wait.
+`python -m puma_sim_core.identify.compile_ahead` takes a minute or two, with names of parts only these; what it makes is
+kept on the disk, for this user and these sources. What is there already is left alone, and of several of these
+processes one works while the others wait.
 """
 
 import fcntl
@@ -13,6 +13,7 @@ import sys
 import numpy as np
 
 from puma_sim_core import jit
+from puma_sim_core.dynamics.samples import flat
 from puma_sim_core.effects import KINDS, parse_effect
 from puma_sim_core.effects.base import Stage
 from puma_sim_core.identify.data.log import Log
@@ -40,6 +41,14 @@ def _simulated(plant: Plant) -> None:
     simulator.run_servo(np.zeros((1, 3)))
 
 
+def _sampled() -> None:
+    """What trials of `appraise` run beside that: single samples."""
+    for effects in ((), (parse_effect(_SOFT),)):
+        kernel = flat(Plant.of(effects=effects).constants)
+        rows = np.zeros((2, kernel.width))
+        kernel.hold(kernel.model, kernel.table, rows, (0, 1), (0.0, 0.0, 0.0), 0.0, 1, 0.001)
+
+
 def _identified() -> None:
     """What `explain` runs beside that, on a second of a slow motion."""
     mechanism = load_mechanism()
@@ -56,23 +65,24 @@ def _identified() -> None:
             known_voltage(mechanism.of_plant(plant), theta, signals)
 
 
-#: part -> what to run of it, in the order of `jit.PARTS`
+#: part -> what to run of it
 _PARTS = {
     "arm": lambda: _simulated(Plant.of()),
     "trains": lambda: _simulated(Plant.of(effects=[parse_effect(_SOFT)])),
     "identification": _identified,
+    "trials": _sampled,
 }
 
 
 def main() -> int:
-    """Run each part that is not in the cache; with ``--behind`` at low priority."""
+    """Run each part that is named, or all, and not in the cache; with ``--behind`` at low priority."""
     if "--behind" in sys.argv:
         os.nice(10)
     if jit.compiled_mark("lock") is None:
         return 0
     with open(str(jit.compiled_mark("lock")), "w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        for part in jit.PARTS:
+        for part in [name for name in _PARTS if name in sys.argv] or _PARTS:
             mark = jit.compiled_mark(part)
             if mark is not None and not mark.exists():
                 _PARTS[part]()

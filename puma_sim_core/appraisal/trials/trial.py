@@ -233,28 +233,9 @@ class Trial:
 
     def run(self, controller: Controller) -> Response:
         """The trial with an object in this process, which is reset first; errors of its own are the trial's end."""
-        samples, update = self.samples(), controller.update
-        ask = samples.send
-        sample, volts = next(samples), None
-        try:
-            try:
-                controller.reset()
-            except Exception as error:
-                self.fail("refused", f"reset: {_sentence(error)}")
-                return self.response()
-            while True:
-                try:
-                    volts = update(*sample)
-                except Exception as error:
-                    self.fail("refused", f"update at {sample[0]:.4f} s: {_sentence(error)}")
-                    break
-                sample = ask(volts)
-        except StopIteration:
-            pass
-        except Ending as ending:
-            self.fail(ending.end, f"{ending}, at {sample[0]:.4f} s")
-        except (TypeError, ValueError, OverflowError) as error:
-            self.fail("refused", f"update gave {_shown(volts)} at {sample[0]:.4f} s, not three numbers ({error})")
+        ended = driven(self.samples(), controller)
+        if ended is not None:
+            self.fail(*ended)
         return self.response()
 
     def run_compiled(self, servo: ServoConfig) -> Response | None:
@@ -284,6 +265,30 @@ class Trial:
         if links is not None:
             out = np.hstack([out, np.zeros((len(out), ROW + 3 - 9)), links])
         return self._response(out, run.voltage, run.voltage)
+
+
+def driven(samples: Generator[Sample, Sequence[float], None], controller: Controller) -> tuple[str, str] | None:
+    """Have a controller answer samples, as `Trial.samples` asks for them, after its reset; (end, why) where the
+    controller is what ends them."""
+    update, ask = controller.update, samples.send
+    sample, volts = next(samples), None
+    try:
+        try:
+            controller.reset()
+        except Exception as error:
+            return "refused", f"reset: {_sentence(error)}"
+        while True:
+            try:
+                volts = update(*sample)
+            except Exception as error:
+                return "refused", f"update at {sample[0]:.4f} s: {_sentence(error)}"
+            sample = ask(volts)
+    except StopIteration:
+        return None
+    except Ending as ending:
+        return ending.end, f"{ending}, at {sample[0]:.4f} s"
+    except (TypeError, ValueError, OverflowError) as error:
+        return "refused", f"update gave {_shown(volts)} at {sample[0]:.4f} s, not three numbers ({error})"
 
 
 class _Rate:
