@@ -9,9 +9,17 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.stats import binomtest, trim_mean
+from scipy.stats import binomtest, trim_mean, ttest_rel
 
-from puma_sim_core.appraisal.statistics import compare, failure_share, score, sensitivity, summaries, trials_needed
+from puma_sim_core.appraisal.statistics import (
+    compare,
+    failure_share,
+    paired_change,
+    score,
+    sensitivity,
+    summaries,
+    trials_needed,
+)
 from puma_sim_core.errors import ParameterError
 
 
@@ -148,6 +156,13 @@ def test_the_cost_of_an_effect_is_the_slope_through_the_nominal_score():
     assert found.low < 0.07 < found.high and found.high - found.low < 0.02
     with pytest.raises(ParameterError, match="one in each stratum, and not all zero"):
         sensitivity(nominal, nominal, size, ["all"] * 12)
+
+
+def test_the_change_of_a_measure_has_the_interval_of_the_paired_t_test():
+    before, after = np.random.default_rng(5).normal(size=(2, 6))
+    found, exact = paired_change(before, after), ttest_rel(after, before).confidence_interval(0.95)
+    assert found == pytest.approx((np.mean(after - before), exact.low, exact.high), abs=1e-12)
+    assert paired_change([1.0], [3.0]) == (2.0, 2.0, 2.0)
 
 
 def test_as_many_trials_as_are_said_to_be_needed_see_the_difference():

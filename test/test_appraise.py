@@ -340,6 +340,24 @@ def test_what_a_nominal_appraisal_hides_is_paired(tmp_path):
     for row in found["controllers"]:
         assert row["score_lost"]["low"] <= row["score_lost"]["value"] <= row["score_lost"]["high"]
         assert all(each["nominal"] != each["augmented"] for each in row["measures"])
+        # of one draw the change is its own difference
+        for each in row["measures"]:
+            assert each["change"]["value"] == pytest.approx(each["augmented"] - each["nominal"], rel=1e-12)
+    text = (tmp_path / "models" / "report.html").read_text()
+    assert "What the nominal model hides" in text and "change over the draws (95 %)" in text
+
+
+def test_repetitions_of_iso_9283_are_in_report_and_page(tmp_path):
+    one = Battery(("pid",), "standard", tasks=("effects",), perturbations=("noise",), searches=False)
+    with open_executor(1) as executor:
+        write_report(one, run_battery(one, tmp_path / "board", executor), str(tmp_path / "board"), 0)
+    found = json.loads((tmp_path / "board" / "report.json").read_text())
+    jsonschema.validate(found, json.loads(config_path("appraisal_report.schema.json").read_text()))
+    (row,) = found["repeats"]
+    assert (row["controller"], row["task"], row["perturbation"]) == ("pid", "effects", "noise")
+    # five draws with noise of 0.02 to 0.2 mrad at a reach of 0.9 m
+    assert 1e-6 < row["measures"]["pose_repeatability"] < 1e-3
+    assert "pose repeatability" in (tmp_path / "board" / "report.html").read_text()
 
 
 def test_a_controller_that_was_changed_is_another_battery(tmp_path, monkeypatch, capsys):

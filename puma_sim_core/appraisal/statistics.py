@@ -241,6 +241,19 @@ def sensitivity(
     return Interval(float(value), float(value - half), float(value + half))
 
 
+def paired_change(before: ArrayLike, after: ArrayLike) -> Interval:
+    """Mean of what a measure is more on the second of two models than on the first, with the interval of Student.
+
+    before, after : (n,) of the same draws. Of one draw nothing is known but its own difference. Raises ParameterError:
+    other shapes, values that are not finite.
+    """
+    first, second = check_shapes("(n,)", _WHERE, before=before, after=after)
+    more = second - first
+    n, mean = len(more), float(more.mean())
+    half = float(student.ppf(0.5 + 0.5 * LEVEL, n - 1) * more.std(ddof=1) / sqrt(n)) if n > 1 else 0.0
+    return Interval(mean, mean - half, mean + half)
+
+
 class Needed(NamedTuple):
     """draws : in each stratum in which anything is drawn; trials : of a controller, over all strata."""
 

@@ -16,8 +16,15 @@ from puma_sim_core.appraisal.controllers import BASELINES
 from puma_sim_core.appraisal.measures import MEASURES
 from puma_sim_core.appraisal.perturbations.drawing import AUGMENTED, NOMINAL, split
 from puma_sim_core.appraisal.perturbations.sizes import SIZES, main_parameter, value_at
-from puma_sim_core.appraisal.report.table import FAMILIES, Place, Table, family
-from puma_sim_core.appraisal.statistics import compare, failure_share, sensitivity, summaries, trials_needed
+from puma_sim_core.appraisal.report.table import FAMILIES, Place, Table, family, value_of
+from puma_sim_core.appraisal.statistics import (
+    compare,
+    failure_share,
+    paired_change,
+    sensitivity,
+    summaries,
+    trials_needed,
+)
 from puma_sim_core.effects import KINDS
 from puma_sim_core.errors import ParameterError
 
@@ -37,6 +44,7 @@ def content(table: Table) -> dict[str, Any]:
         "scoreboard": _scoreboard(table),
         "comparisons": _comparisons(table),
         "nominal": _nominal(table),
+        "repeats": _repeats(table),
         "sensitivities": _sensitivities(table),
         "critical_sizes": _critical(table),
         "growth": _growth(table),
@@ -152,6 +160,11 @@ def _nominal(table: Table) -> list[dict[str, Any]]:
         for at, trial in trials.items()
         if at.perturbation == NOMINAL and at.draw == 0
     ]
+
+
+def _repeats(table: Table) -> list[dict[str, Any]]:
+    """Measures of ISO 9283 over the draws of a task under a perturbation, where there are several."""
+    return [{key: value for key, value in each.items() if key != "kind"} for each in table.repeats]
 
 
 def _sensitivities(table: Table) -> list[dict[str, Any]]:
@@ -278,14 +291,21 @@ def _models(table: Table) -> dict[str, Any] | None:
 
 
 def _changed(table: Table, name: str, places: list[Place]) -> list[dict[str, Any]]:
-    """The measure of each task's first limit on both models, without draws."""
+    """The measures of each task's limits on both models, and by how much they change over the draws of both; no
+    interval where a trial of either has an infinite one."""
     found = []
-    for at in places:
-        if at.draw == 0:
-            measure = table.battery.setting.tasks[at.task].limits[0].measure
-            both = [table.trials[name][at._replace(perturbation=model)] for model in (NOMINAL, AUGMENTED)]
-            values = dict(zip((NOMINAL, AUGMENTED), (one["measures"][measure] for one in both)))
-            found.append({"task": at.task, "measure": measure, "unit": MEASURES[measure].unit, **values})
+    for task in dict.fromkeys(at.task for at in places):
+        draws = [at for at in places if at.task == task]
+        for limit in table.battery.setting.tasks[task].limits:
+            values = {
+                model: [value_of(table.trials[name][at._replace(perturbation=model)], limit.measure) for at in draws]
+                for model in (NOMINAL, AUGMENTED)
+            }
+            finite = all(map(isfinite, values[NOMINAL] + values[AUGMENTED]))
+            itself = {model: own[0] if isfinite(own[0]) else None for model, own in values.items()}
+            change = _interval(*paired_change(values[NOMINAL], values[AUGMENTED])) if finite else None
+            unit = MEASURES[limit.measure].unit
+            found.append({"task": task, "measure": limit.measure, "unit": unit, **itself, "change": change})
     return found
 
 
