@@ -178,7 +178,7 @@ def test_an_effect_that_replaced_another_has_a_gain_of_its_own():
 @pytest.mark.parametrize("period, refused", [(12.0, False), (20.0, True)])
 def test_a_wave_is_no_longer_than_its_joint_can_go(period, refused):
     pendulum = load_mechanism("pendulum")
-    sampled = SimpleNamespace(joints=1, position=np.array([[-1.0], [1.0]]))
+    sampled = SimpleNamespace(joints=1, position=np.array([[-1.0], [1.0]]), quantum=np.zeros(1))
     problem = SimpleNamespace(mechanism=pendulum, sampled=sampled)
     wave = parse_effect(f"sensor_nonlinearity:joint=1,amplitude=0.01,period={period}")
     found = Trials(None, problem).implausible(wave)
@@ -316,7 +316,7 @@ def test_a_tie_is_a_difference_that_the_log_cannot_show(best, other, wanted):
 
 def test_what_more_of_makes_less_of_an_effect_is_not_too_much():
     position = np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
-    sampled = SimpleNamespace(joints=3, position=position)
+    sampled = SimpleNamespace(joints=3, position=position, quantum=np.zeros(3))
     chooser = Trials(None, SimpleNamespace(mechanism=load_mechanism(), sampled=sampled))
     stiff = parse_effect("joint_elasticity:joint=1,stiffness=9e5")
     soft = parse_effect("joint_elasticity:joint=1,stiffness=20")
@@ -335,7 +335,7 @@ def test_what_more_of_makes_less_of_an_effect_is_not_too_much():
 
 def test_plausible_sizes_go_with_the_machine_and_a_bound_is_no_size():
     pendulum = load_mechanism("pendulum")
-    sampled = SimpleNamespace(joints=1, position=np.array([[-1.0], [1.0]]))
+    sampled = SimpleNamespace(joints=1, position=np.array([[-1.0], [1.0]]), quantum=np.zeros(1))
     chooser = Trials(None, SimpleNamespace(mechanism=pendulum, sampled=sampled))
     # a two-hundredth of the friction of the arm's joints, and an error of a third of a radian is none of an encoder
     assert chooser.implausible(parse_effect("coulomb_friction:joint=1,torque=0.03")) is None
@@ -348,6 +348,29 @@ def test_plausible_sizes_go_with_the_machine_and_a_bound_is_no_size():
     for unit, joint in itertools.product(("N.m", "rad", "V", "A", "kg", "N.m/rad"), range(3)):
         # the ranges are those of the arm
         assert 0.3 < load_mechanism().effect_scale(unit, joint) < 3.0
+
+
+@pytest.mark.parametrize(
+    "effect, least",
+    [
+        ("transmission_error:joint=2,order=12,amplitude={}", 0.5),
+        ("sensor_nonlinearity:joint=2,period=3,amplitude={}", 0.5),
+        ("backlash:joint=2,gap={}", 1.0),
+    ],
+)
+def test_an_error_within_the_encoders_step_is_none_of_the_machine(effect, least):
+    position = np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
+
+    def problem(size, step):
+        sampled = SimpleNamespace(joints=3, position=position, quantum=np.array([0.0, step, 1.0]))
+        chooser = Trials(None, SimpleNamespace(mechanism=load_mechanism(), sampled=sampled))
+        return chooser.implausible(parse_effect(effect.format(size)))
+
+    step = 2e-3
+    assert "the encoder's own error (a step of 0.002 rad)" in problem(0.99 * least * step, step)
+    assert problem(1.01 * least * step, step) is None
+    # without a step that shows, any size may be told
+    assert problem(0.99 * least * step, 0.0) is None
 
 
 def offset(gain, angle, problem):

@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 from loop_logs import record
 
+from puma_sim_core.effects import parse_effect
 from puma_sim_core.effects.shared.limits import limit_candidates
 from puma_sim_core.identify import explain
 from puma_sim_core.identify.checks.gate import check
+from puma_sim_core.identify.checks.plausibility import Plausibility, coarse
 from puma_sim_core.identify.outcome import beyond_noise
 from puma_sim_core.identify.result import StageErrors
-from puma_sim_core.identify.settings import RESIDUALS
+from puma_sim_core.identify.settings import CHECKS, RESIDUALS
 from puma_sim_core.plant.mechanism_file import load_mechanism
 
 
@@ -50,6 +52,25 @@ def test_limits_come_from_the_motion_where_hardly_any_of_the_command_comes_throu
     assert min(by_command) > 0.8 and min(abs(limit - 0.8) for limit in by_both) < 1e-6
     # an ordinary log has the limits of its command alone
     assert limits(asked) == by_command
+
+
+def test_a_push_is_no_fault_of_the_voltage_but_a_voltage_of_another_log_is():
+    mechanism = load_mechanism("dfki_pendulum")
+    quiet = record(mechanism, mechanism.plant(), noise=2e-4)
+    # ninety times the nominal friction, for as long as a hand may push
+    push = parse_effect("impulse:joint=1,torque=-18,time=6.1,width=0.3")
+    pushed = record(mechanism, mechanism.plant(effects=(push,)), noise=2e-4)
+    assert np.abs(pushed.position - quiet.position).max() > 1.0
+    model = Plausibility(mechanism)
+    c = coarse(pushed)
+    # it is more than any share that a wrong channel leaves, and gone with a few of the rows
+    assert model.shares(model.fits(c), CHECKS.channel_another_floor)[0] > CHECKS.channel_another
+    (lasting,) = model.lasting_fits(c)
+    assert model.share(lasting, 0) < 0.1 and lasting.rows > 0.8 * model.fits(c)[0].rows
+    assert not check(pushed, mechanism).doubts
+    t = pushed.time[:, None]
+    other = replace(pushed, voltage=3.0 * np.sin(5.1 * t) + 2.0 * np.sin(0.7 * t + 1.0))
+    assert [doubt.channel for doubt in check(other, mechanism).doubts] == ["voltage1"]
 
 
 @pytest.mark.long

@@ -90,7 +90,15 @@ EFFECT = Kind(
     sentence="Backlash between the teeth: the link is free while they change flanks, and a short impact ends it.",
     parameters=(
         Parameter(
-            "gap", "rad", 0.0, 0.2, "g, the whole backlash at the joint", SIZE, (5e-5, 5e-3), softened_by="stiffness"
+            "gap",
+            "rad",
+            0.0,
+            0.2,
+            "g, the whole backlash at the joint",
+            SIZE,
+            (5e-5, 5e-3),
+            softened_by="stiffness",
+            steps=1.0,
         ),
         Parameter(
             "stiffness", "N.m/rad", 100.0, 1e7, "K of the teeth in contact", RATE, default=_STIFFNESS, prior=(5e5, 2.5)

@@ -73,7 +73,7 @@ EFFECT = Kind(
     equation="m = q + a sin(2 pi q / period + phase)",
     sentence="The sensor is not straight: the same place is always measured wrong by the same.",
     parameters=(
-        Parameter("amplitude", "rad", 0.0, 1.0, "a", SIZE, (0.0002, 0.02)),
+        Parameter("amplitude", "rad", 0.0, 1.0, "a", SIZE, (0.0002, 0.02), steps=0.5),
         Parameter("period", "rad", 1e-4, 100.0, "of the error in q", PLACE, (0.3, 7.0), neutral=1.0),
         Parameter("phase", "rad", -10.0, 10.0, "at q = 0", PLACE, default=0.0),
     ),

@@ -53,7 +53,7 @@ EFFECT = Kind(
     sentence="A gear that is not round: the link leads and trails the motor as it turns, and the "
     "arm's inertia and weight push back through it.",
     parameters=(
-        Parameter("amplitude", "rad", 0.0, 0.05, "e", SIZE, (5e-5, 3e-3)),
+        Parameter("amplitude", "rad", 0.0, 0.05, "e", SIZE, (5e-5, 3e-3), steps=0.5),
         Parameter(
             "order", "1", 0.0, 1000.0, "n, periods in a turn of the joint", PLACE, (1.0, 40.0), default=1.0, step=1.0
         ),

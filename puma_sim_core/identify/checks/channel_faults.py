@@ -73,7 +73,7 @@ def moderate_faults(model: Plausibility, c: Coarse, slow: Coarse) -> list[Fault]
 def unexplained(model: Plausibility, c: Coarse) -> list[Fault]:
     """Joints whose voltage nothing explains: they stand still, or the log is of another plant."""
     found = []
-    fits = model.fits(c)
+    fits = model.lasting_fits(c)
     shares = model.shares(fits, CHECKS.channel_another_floor)
     for j in np.flatnonzero(shares >= CHECKS.channel_another):
         channel, expected = f"position{j + 1}", "a motion, or a voltage that friction can hold"

@@ -18,7 +18,7 @@ from scipy.optimize import lsq_linear
 from puma_sim_core.identify.arrays import Bools, Floats
 from puma_sim_core.identify.data import filters
 from puma_sim_core.identify.data.log import Log
-from puma_sim_core.identify.settings import CHECKS
+from puma_sim_core.identify.settings import CHECKS, FITTING
 from puma_sim_core.plant.mechanism import Mechanism
 
 #: place of the column of dry friction, before that of friction that grows with the weight
@@ -228,6 +228,27 @@ class Plausibility:
         """`fit` of each joint."""
         torques = self.torques(c)
         return [self.fit(c, joint, torques=torques) for joint in range(c.joints)]
+
+    def lasting_fits(self, c: Coarse) -> list[Fit]:
+        """`fits` without rows that the rest of the log leaves far out of line, where these are few.
+
+        A push from outside takes a few rows; a channel that is wrong is wrong in all of them. Rows beyond four robust
+        deviations are left out until none is new (Rousseeuw and Leroy 1987, Robust Regression, chapter 1).
+        """
+        torques, found = self.torques(c), list[Fit]()
+        for joint, fit in enumerate(self.fits(c)):
+            without = np.zeros(len(c.voltage), dtype=bool)
+            for _ in range(CHECKS.plausibility_event_rounds):
+                left = np.abs(fit.residual)
+                if not fit.rows:
+                    break
+                usual = FITTING.deviation_of_median * float(np.median(left[fit.counted]))
+                far = left > CHECKS.plausibility_event * usual
+                if np.array_equal(far, without) or far.mean() > CHECKS.plausibility_event_share:
+                    break
+                without, fit = far, self.fit(c, joint, far, torques)
+            found.append(fit)
+        return found
 
     def shares(self, fits: Sequence[Fit], floor: float = CHECKS.plausibility_floor) -> Floats:
         """(J,) `share` of each joint."""

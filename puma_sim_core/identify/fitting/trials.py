@@ -266,9 +266,9 @@ class Trials:
 
     def implausible(self, effect: Effect) -> str | None:
         """Why an effect can be none of this machine, None where it may be one."""
-        bound = self._on_bound(effect)
-        if bound is not None:
-            return bound
+        without_size = self._on_bound(effect) or self._unresolved(effect)
+        if without_size is not None:
+            return without_size
         joints = [effect.joint - 1] if effect.joint is not None else list(range(self.mechanism.joints))
         small: list[str | None] = []
         for name, low, high in effect.kind.plausible:
@@ -295,6 +295,17 @@ class Trials:
             for bound in (parameter.low, parameter.high):
                 if bound != 0.0 and abs(value - bound) <= FITTING.at_bound * abs(bound):
                     return f"{_IMPOSSIBLE}: {name} on the bound {bound:.3g} of what its law allows"
+        return None
+
+    def _unresolved(self, effect: Effect) -> str | None:
+        """Why an error of the position is none of the machine's: an encoder's own is as large, half a step to each side
+        (IEEE Std 1241, an ideal quantiser)."""
+        step = 0.0 if effect.joint is None else float(self.problem.sampled.quantum[effect.joint - 1])
+        unit = self.mechanism.position_unit
+        for parameter in effect.kind.parameters:
+            if parameter.steps is not None and effect.values[parameter.name] < parameter.steps * step:
+                size = f"{parameter.name} {effect.values[parameter.name]:.3g} {unit}"
+                return f"{size} is no more than the encoder's own error (a step of {step:.3g} {unit})"
         return None
 
 

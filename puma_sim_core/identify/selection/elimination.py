@@ -9,6 +9,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from puma_sim_core.effects import Effect, Kind
+from puma_sim_core.identify.fitting.dispersion import dispersion
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit, Slopes, bounded
 from puma_sim_core.identify.fitting.trials import Trial, Trials
 from puma_sim_core.identify.screening.evidence import Key
@@ -19,11 +20,13 @@ Item = TypeVar("Item")
 
 
 class _Compared(NamedTuple):
-    """The model with an effect and without it; others : derivatives about the model by all else."""
+    """The model with an effect and without it; others : derivatives about the model by all else; dispersion : what a
+    nat of the fit must be divided by (`fitting.dispersion`)."""
 
     full: Fitted
     bare: Fitted
     others: Slopes
+    dispersion: float
 
 
 class Elimination:
@@ -55,7 +58,7 @@ class Elimination:
             if found is None:
                 continue
             gain = found.bare.objective - found.full.objective - chosen.occam
-            if gain < SELECTION.least_gain:
+            if gain < SELECTION.least_gain * found.dispersion:
                 rest = _less(state.chosen, number)
                 return self.confirm(replace(state, model=found.bare, jacobian=None, chosen=rest))
             kept[number] = replace(chosen, gain=min(chosen.gain, gain))
@@ -72,7 +75,10 @@ class Elimination:
         own = [first + k for k, (n, _) in enumerate(pairs) if n == number]
         others = Slopes.of(np.delete(jacobian, own, axis=1))
         bare = fit.run(without, (), jacobian=others, frozen=self.trials.free(without))
-        return None if bare is None or full is None else _Compared(full, bare, others)
+        if bare is None or full is None:
+            return None
+        scatter = dispersion(self.predictor, jacobian, full.errors, len(point.theta))
+        return _Compared(full, bare, others, scatter)
 
     def _without_or_replaced(self, state: SelectionState, number: int) -> SelectionState | None:
         """The state without one of its effects, or with a rival in its place; None where it stays."""
@@ -84,9 +90,9 @@ class Elimination:
         found = self._compared(state, number)
         if found is None:
             return None
-        full, bare, others = found
+        full, bare, others, scatter = found
         frozen = self.trials.free(bare.point)
-        if bare.objective - full.objective - chosen.occam < SELECTION.least_gain:
+        if bare.objective - full.objective - chosen.occam < SELECTION.least_gain * scatter:
             return self.eliminate(replace(state, model=bare, jacobian=None, chosen=rest))
         best: tuple[float, Trial, Fitted] | None = None
         for rival in self._rivals(state, chosen.key):
@@ -97,7 +103,7 @@ class Elimination:
             if tried is None or self.trials.implausible(tried.point.effects[-1]):
                 continue
             gain = full.objective - tried.objective - rival.occam + chosen.occam
-            if gain > SELECTION.replacement_gain and (best is None or gain > best[0]):
+            if gain > SELECTION.replacement_gain * scatter and (best is None or gain > best[0]):
                 best = gain, rival, tried
         if best is None:
             return None

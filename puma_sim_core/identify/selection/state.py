@@ -19,9 +19,9 @@ from puma_sim_core.identify.settings import SELECTION
 class Stage:
     """A completed stage of the selection.
 
-    trials : best first; threshold [nat] : of a name, by chance; base : the model that gains are over; accepted : the
-    trial that the log asks for; first : by joint (None: the whole arm) the gain [nat] of the first effect accepted;
-    doubted : the validation refused the noise that the model leaves.
+    trials : best first; threshold [nat] : of a name, by chance and by what the effects before it misfit; base : the
+    model that gains are over; accepted : the trial that the log asks for; first : by joint (None: the whole arm) the
+    gain [nat] of the first effect accepted; doubted : the validation refused the noise that the model leaves.
     """
 
     trials: tuple[Trial, ...]

@@ -75,6 +75,11 @@ class Checks:
     #: voltages are compared with this many times those of the nominal friction, at least
     plausibility_floor: float = 2.0
     plausibility_noise: float = 0.04
+    #: residual, in robust deviations, from which a row is out of line: 6e-5 of those of a normal distribution; the
+    #: greatest share of rows that such an event takes, and how often they are sought
+    plausibility_event: float = 4.0
+    plausibility_event_share: float = 0.1
+    plausibility_event_rounds: int = 8
     plausibility_enabled: float = 0.99  #: filtered `enable` above which a drive counts as on
 
     prior_fit_noise: float = 0.05  #: residual that counts, in volts of the nominal friction

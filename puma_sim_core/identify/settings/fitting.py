@@ -116,6 +116,13 @@ class Fitting:
     below_plausible: float = 4.0  #: and below the least [calibrated]
     at_bound: float = 1e-6  #: of a bound of a law, within which a fitted parameter stands on it
 
+    # --- scatter of scores between blocks (`dispersion`)
+    #: length of a block [s], that of the validation set: longer than any noise source lasts (0.16 s); least number of
+    #: blocks that show a scatter, and standard errors of it that count as chance
+    dispersion_block: float = 0.8
+    dispersion_least_blocks: int = 4
+    dispersion_errors: float = 2.0
+
     # --- confidence intervals (`intervals`)
     normal_quantile: float = 1.959963984540054  #: 97.5 % quantile of the standard normal distribution
     #: lag over which scores correlate, blocks [s]: by hand, coverage measured on synthetic records (README)
