@@ -18,9 +18,13 @@ import pytest
 from puma_sim_core.appraisal import appraise, battery, work
 from puma_sim_core.appraisal.appraise import BatteryError, check_controls, run_battery
 from puma_sim_core.appraisal.battery import Battery
+from puma_sim_core.appraisal.controllers import make
+from puma_sim_core.appraisal.perturbations.drawing import Conditions
 from puma_sim_core.appraisal.report.output import write_report
 from puma_sim_core.appraisal.settings import Patience
 from puma_sim_core.appraisal.store import merge, open_store
+from puma_sim_core.appraisal.trials.guard import Ended
+from puma_sim_core.appraisal.trials.trial import Trial
 from puma_sim_core.appraisal.work import Job, foreign_results, run_unit
 from puma_sim_core.arm.kinematics import wrist_path
 from puma_sim_core.cli import main
@@ -319,6 +323,27 @@ def test_a_critical_size_is_where_the_verdict_changes():
     expected = 1e-3 / np.hypot(wrist[:, 0], wrist[:, 1]).max()
     assert found["verdict"] == "found" and 0.98 * found["passed"] < expected < 1.02 * found["failed"]
     assert found["failed"] / found["passed"] < 1.5
+
+
+def test_a_search_begins_where_machines_are_and_knows_what_no_arm_can_have():
+    """A very stiff spring makes a sampled loop chatter: that must not pass for a softness that is critical."""
+    one = replace(SMALL, controllers=("pid",), searches=True)
+    task, made = one.setting.tasks["effects"], make("pid", one.setting.models)
+    good = Trial(task, Conditions(one.setting.nominal), one.setting.nominal.arm, made.period).run(made.controller)
+    tried = []
+
+    def attempt(task, conditions, number):
+        (spring,) = (each for each in conditions.plant.effects if each.kind.name == "joint_elasticity")
+        tried.append(spring.values["stiffness"])
+        fine = 3e4 < tried[-1] < 1e6
+        return work.Outcome(good, {}) if fine else work.failed_outcome(task, conditions, one, Ended("diverged", ""))
+
+    found = work.search(one, battery.Search("joint_elasticity:2", 0), attempt)
+    assert tried[0] == 1e5 and max(tried) == 1e5
+    assert found["verdict"] == "found" and found["failed"] < 3e4 < found["passed"] < 1.3 * found["failed"]
+    # the links of this draw have less inertia than its motor is said to have of it
+    other = work.search(one, battery.Search("joint_elasticity:2", 2), attempt)
+    assert other["verdict"] == "impossible" and other["passed"] is other["failed"] is other["size"] is None
 
 
 def test_listing_names_everything(capsys):

@@ -24,6 +24,7 @@ from puma_sim_core.appraisal.trials.trial import Ending, Trial, run_trial
 from puma_sim_core.arm.arm import ArmParameters
 from puma_sim_core.effects import KINDS
 from puma_sim_core.errors import ParameterError
+from puma_sim_core.plant.plant import Plant
 from puma_sim_core.simulation.feedback import Controller
 
 #: the task whose limits a critical size is sought for
@@ -210,8 +211,10 @@ def _plain(measures: dict[str, float]) -> dict[str, float | None]:
 def search(battery: Battery, item: Search, attempt: Attempt) -> dict[str, Any]:
     """The smallest size of an effect at which a controller fails the search task, by bisection of its logarithm.
 
-    The result's ``verdict`` is "found", with the greatest size that passed and the smallest that failed; "always":
-    fails at the least size or without the effect; "never": passes at the greatest.
+    It begins at the least size that machines have: what is far below that, such as a spring of 5e6 N.m/rad, is tried
+    only where a controller fails there already. The result's ``verdict`` is "found", with the greatest size that
+    passed and the smallest that failed; "always": fails at the least size or without the effect; "never": passes at
+    the greatest; "impossible": this draw of the arm cannot have the effect.
     """
     setting, settings = battery.setting, battery.settings
     task = setting.tasks[SEARCH_TASK]
@@ -219,22 +222,31 @@ def search(battery: Battery, item: Search, attempt: Attempt) -> dict[str, Any]:
     middle = 0.5 * task.duration
     tried: list[float] = []
 
-    def failed(size: float) -> bool:
+    def plant_at(size: float) -> Plant | None:
         try:
-            plant = setting.drawing.with_effect(item.effect, size, middle, item.draw)
+            return setting.drawing.with_effect(item.effect, size, middle, item.draw)
         except ParameterError:
+            return None
+
+    def failed(size: float) -> bool:
+        plant = plant_at(size)
+        if plant is None:
             return False  # no plant can have it: not a size that the controller fails at
         tried.append(size)
         response = attempt(task, Conditions(plant), len(tried) - 1).response
         return not passes(task, response, measure(response, task.aims))
 
     low, high = SEARCHED
-    verdict, passed, failing = "found", low, high
-    if failed(low):
-        verdict, failing = "always", low
+    verdict, passed, failing = "found", 0.0, high
+    if plant_at(0.0) is None:
+        verdict = "impossible"
+    elif failed(0.0):
+        passed, failing = low, 0.0
+        if failed(low):
+            verdict, failing = "always", low
     elif not failed(high):
         verdict, passed = "never", high
-    else:
+    if verdict == "found":
         for _ in range(settings.bisections + 2):
             size = 0.5 * (passed + failing)
             if failed(size):
@@ -249,7 +261,7 @@ def search(battery: Battery, item: Search, attempt: Attempt) -> dict[str, Any]:
         "verdict": verdict,
         "parameter": parameter.name,
         "unit": parameter.unit,
-        "passed": None if verdict == "always" else value_at(kind, passed),
-        "failed": None if verdict == "never" else value_at(kind, failing),
+        "passed": value_at(kind, passed) if verdict in ("found", "never") else None,
+        "failed": value_at(kind, failing) if verdict in ("found", "always") else None,
         "size": 0.5 * (passed + failing) if verdict == "found" else None,
     }

@@ -23,7 +23,7 @@ from puma_sim_core.plant.plant import Plant
 
 #: random perturbations, with what they are
 RANDOM = {
-    "parameters": "all masses, inertias and motor constants drawn from the priors of the mechanism",
+    "parameters": "masses, inertias, motor constants and viscous friction, from the priors of the mechanism",
     "payload": "a load of 0 to 2.5 kg at the wrist, the arm's rated one",
     "noise": "white noise on the measured positions, 0.02 to 0.2 mrad",
     "quantisation": "encoders of 250 to 1000 counts a motor turn, converters of 8 to 12 bits",
@@ -31,7 +31,7 @@ RANDOM = {
     "jitter": "each voltage late by a time of its own, up to 1 to 5 ms",
     "dropped": "1 to 10 % of the voltages do not arrive; the last one stays",
     "pulses": "pushes of 5 to 60 N.m for 20 to 150 ms, one on each joint",
-    "all": "all of these together, and dry and viscous friction",
+    "all": "all of these together, and dry friction",
 }
 NOMINAL, AUGMENTED = "nominal", "augmented"
 

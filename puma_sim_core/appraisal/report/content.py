@@ -218,7 +218,7 @@ def _of_searches(table: Table, name: str) -> list[dict[str, Any]]:
                 "parameter": draws[0]["parameter"],
                 "unit": draws[0]["unit"],
                 "draws": len(draws),
-                **{verdict: verdicts[verdict] for verdict in ("found", "always", "never")},
+                **{verdict: verdicts[verdict] for verdict in ("found", "always", "never", "impossible")},
                 "value": float(np.median(values)) if values else None,
                 "low": ends[0] if ends else None,
                 "high": ends[-1] if ends else None,
