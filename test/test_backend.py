@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from puma_sim_core import jit as backend
+from puma_sim_core.cli.output import start_at_once
 
 needs_numba = pytest.mark.skipif(importlib.util.find_spec("numba") is None, reason="no numba")
 
@@ -250,6 +251,20 @@ def test_without_a_folder_to_write_there_is_no_cache(tmp_path, monkeypatch):
 
 @pytest.mark.long
 @needs_numba
+@pytest.mark.parametrize(("trials", "parts"), [(True, ["arm", "trains", "trials"]), (False, list(backend.PARTS))])
+def test_what_a_command_needs_is_compiled_ahead_and_no_more(trials, parts, tmp_path, monkeypatch):
+    """An appraisal needs single samples, and nothing of what `explain` runs."""
+    started = []
+    monkeypatch.setenv("PUMA_SIM_KERNEL", "auto")
+    monkeypatch.setattr(backend, "BACKEND", "numba")
+    monkeypatch.setattr(backend, "compiled_mark", lambda part: tmp_path / part)
+    monkeypatch.setattr(backend, "await_compiled", lambda *_: None)
+    monkeypatch.setattr(subprocess, "Popen", lambda words, **_: started.append(words))
+    start_at_once(patient=True, trials=trials)
+    (words,) = started
+    assert words[-len(parts) :] == parts and words[-len(parts) - 1] == "--behind"
+
+
 def test_a_kernel_without_a_cache_compiles_and_runs(tmp_path):
     # a path below a file cannot be made, by no user whatever
     (tmp_path / "file").write_text("")
