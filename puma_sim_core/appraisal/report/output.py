@@ -153,7 +153,7 @@ def scoreboard_lines(found: Mapping[str, Any]) -> list[str]:
     """The scoreboard as text."""
     width = max(len(row["controller"]) for row in found["scoreboard"])
     lines = [f"rank  {'controller':{width}}  score (95 %)         passed"]
-    for row in sorted(found["scoreboard"], key=lambda each: each["rank"]):
+    for row in sorted(found["scoreboard"], key=lambda each: (each["rank"], -each["score"]["value"])):
         value, low, high = (row["score"][key] for key in ("value", "low", "high"))
         passed = f"{row['passed']} of {row['trials']}"
         lines.append(f"{row['rank']:4}  {row['controller']:{width}}  {value:.3f} ({low:.3f} to {high:.3f})  {passed}")
