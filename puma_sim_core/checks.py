@@ -151,11 +151,13 @@ class Reader:
             self.fail(key, "no value" if value is None else f"{value!r}", f"a finite number{bounds}")
         return float(value)
 
-    def numbers(self, values: Any, key: str, count: int, low: float = -math.inf) -> tuple[float, ...]:
-        """So many finite numbers of at least low."""
+    def numbers(
+        self, values: Any, key: str, count: int, low: float = -math.inf, high: float = math.inf
+    ) -> tuple[float, ...]:
+        """So many finite numbers from low to high."""
         if not isinstance(values, (list, tuple)) or len(values) != count:
             self.fail(key, "no value" if values is None else f"{values!r}", f"{count} finite numbers")
-        return tuple(self.number(value, key, low) for value in values)
+        return tuple(self.number(value, key, low, high) for value in values)
 
     def entry(self, entry: Any, key: str, *units: str, further: Collection[str] = ()) -> Mapping[str, Any]:
         """The mapping {value, unit, source} of a quantity in one of the units."""

@@ -56,4 +56,5 @@ def signals_of(mechanism, run, voltage):
         ranges=mechanism.ranges,
         inertia=mechanism.inertia_matrix(theta, q),
         position_gradient=mechanism.position_gradient(theta, q, qd, qdd),
+        library_sized=mechanism.library_sized,
     )

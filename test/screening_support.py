@@ -99,6 +99,7 @@ def signals_of(time, voltage, q, qd, qdd, current=None, **fields) -> Signals:
         inertia=body,
         position_gradient=gradient(q, qd, qdd),
         torque_per_ampere=torque_per_ampere(),
+        library_sized=True,
     )
     return replace(made, **fields)
 

@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 from puma_sim_core.checks import Reader
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.errors import ParameterError
-from puma_sim_core.plant.linkage.linkage_file import check_bodies
+from puma_sim_core.plant.linkage.linkage_file import check_bodies, linkage_mapping, read_linkage
 from puma_sim_core.plant.mechanism_file import load_mechanism
 from puma_sim_core.plant.model_file import dump_model, load_model
 from puma_sim_core.simulation.simulator import Simulator
@@ -225,3 +225,20 @@ def test_a_pendulum_is_a_linkage_of_a_shoulder():
     q = np.random.default_rng(2).uniform(-2.0, 2.0, size=(3, 9, 1))
     assert_allclose(single.torque(None, *q), twin.torque(None, *q), rtol=1e-14)
     assert_allclose(single.total_torque(None, *q), twin.total_torque(None, *q), rtol=1e-14)
+
+
+def test_sizes_of_the_library_are_those_of_its_own_arm_alone():
+    """A linkage of three joints is another machine, whatever their number."""
+    three = mechanism(**PARTS["whole arm, level and down"])
+    arm = load_mechanism("puma560")
+    assert three.joints == arm.joints == 3 and arm.library_sized and not three.library_sized
+    with pytest.raises(ParameterError, match="a model of kind linkage; expected a model of an arm"):
+        arm.of_plant(three.plant())
+
+
+@pytest.mark.parametrize("key", ["zero", "held"])
+def test_angles_of_links_are_within_a_turn_or_so(key):
+    mapping = linkage_mapping(linkage(shoulder=0.5, elbow=torque_drive()))
+    mapping["shoulder"][key] = {"value": 1e9, "unit": "rad"}
+    with pytest.raises(ParameterError, match=rf"shoulder\.{key}\.value: .*; expected a finite number from -10 to 10"):
+        read_linkage(mapping)

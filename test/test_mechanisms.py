@@ -27,7 +27,10 @@ from puma_sim_core.recording.recording import Recording, write_csv
 from puma_sim_core.resources import config_path
 from puma_sim_core.simulation.simulator import Simulator
 
-OTHERS = ("pendulum", "slide", "dfki_pendulum", "dfki_double_a0", "dfki_double_c0", "dfki_double_c1", "qube_pendulum")
+OTHERS = (
+    *("pendulum", "slide", "dfki_pendulum", "dfki_double_a0", "dfki_double_c0", "dfki_double_c1", "qube_pendulum"),
+    *("kuka_kr300", "so101_pitch", "so101_rotation"),
+)
 RNG = np.random.default_rng(20)
 
 
@@ -280,6 +283,8 @@ def test_errors_of_a_file_name_key_and_expectation():
         (put("drive.resistance", value=float("nan")), ("drive.resistance.value: nan",)),
         (put("body.mass", value=1e30), ("body.mass.value: 1e+30", "from 0 to 1e+06")),
         (put("drive.resistance", value=1e30), ("drive.resistance.value: 1e+30", "above 0, at most 1e+09")),
+        (lambda m: m["torque_scale"].update(value=1e30), ("torque_scale.value: 1e+30", "at most 1e+09")),
+        (put("drive.resistance", relative_deviation=1e9), ("relative_deviation: 1000000000", "at most 100")),
         (put("drive.resistance", known=True), ("relative_deviation and known", "one of")),
         (put("drive.inductance", value=1e-5), ("time constant of 0.00304 ms", "negligible")),
         (lambda m: m["drive"].update(amplifier="steam"), ("'steam'", "voltage or current")),

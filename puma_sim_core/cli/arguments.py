@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from puma_sim_core.plant.plant import Plant
 
 #: channels that --columns may name
-_COLUMN = re.compile(r"time|enable|(voltage|position|velocity|current|setpoint)[1-9][0-9]*")
+_COLUMN = re.compile(r"time|enable|(voltage|position|velocity|current|setpoint|link_position)[1-9][0-9]*")
 
 
 class Command(NamedTuple):
@@ -119,7 +119,9 @@ def column_names(texts: list[str]) -> dict[str, str] | None:
         if not (ours and equals and theirs):
             raise ParameterError(f"'{item}'", where="--columns", expected="OURS=THEIRS, such as time=t_s")
         if not _COLUMN.fullmatch(ours):
-            expected = "time, enable, voltage1, position1, velocity1, current1, setpoint1, voltage2 and so on"
+            expected = (
+                "time, enable, voltage1, position1, velocity1, current1, setpoint1, link_position1, voltage2 and so on"
+            )
             raise ParameterError(f"unknown column '{ours}'", where="--columns", expected=expected)
         if ours in found:
             raise ParameterError(f"'{ours}' is given twice", where="--columns", expected="each once")

@@ -56,6 +56,7 @@ class Signals:
     position_gradient: np.ndarray | None = None
     residual: np.ndarray | None = None  #: V - Vhat after the best explanation so far; without it, no impulse is sought
     torque_per_ampere: np.ndarray | None = None  #: (J,) N kt; without it, taken from `torque` and `current`
+    library_sized: bool = False  #: of `Mechanism`: whether the sizes of the library's tables are the machine's own
 
     @property
     def joints(self) -> int:

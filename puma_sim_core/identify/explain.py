@@ -22,6 +22,8 @@ from puma_sim_core.identify.data.machine_log import read_for, with_volts
 from puma_sim_core.identify.fitting import intervals
 from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
 from puma_sim_core.identify.fitting.trials import Trials
+from puma_sim_core.identify.link_side import outcome as link_outcome
+from puma_sim_core.identify.link_side.compare import compare as compare_sides
 from puma_sim_core.identify.memory import release
 from puma_sim_core.identify.outcome import Findings, compose, fault_sentence
 from puma_sim_core.identify.prepare import Prepared, prepare, silent
@@ -43,6 +45,7 @@ from puma_sim_core.jit import is_compiled
 from puma_sim_core.plant.mechanism import Mechanism
 from puma_sim_core.plant.mechanism_file import load_mechanism
 
+_NOT_HELD_OUT = "Held-out logs are not read where the two sides of transmissions are compared: blocks of the logs are."
 #: paths of CSV files or bags, or logs; one or several
 Logs = str | os.PathLike[str] | Log | Iterable[str | os.PathLike[str] | Log]
 
@@ -100,20 +103,25 @@ def explain(
     faults = [fault for each in checked for fault in each.faults] or (cuts if strict else [])
     notes = list(dict.fromkeys(note for each in checked for note in each.notes))
     beside, unusable = usable(validation, mechanism)
-    if not faults:
+    parts = [part for each in checked for part in each.parts]
+    if not faults and mechanism.links_known:
         is_compiled("identification")  # a program may wait here until it is
-        parts = [part for each in checked for part in each.parts]
         stages = Stages(prepare(parts, mechanism, progress), seed, progress, beside)
         release()
         state = stages.select()
         doubts = [doubt for each in checked for doubt in each.doubts]
         faults = wrong_zeros(state.history) or stages.unexplained(state, doubts)
     mechanism_of: dict[str, Any] = {"plant": plant, "parameters": parameters, "model": model}
+    sides = () if faults else compare_sides(parts, mechanism, seed)
     if faults:
         explanation = Explanation(DATA_FAULT, fault_sentence(faults), faults=tuple(faults))
+    elif not mechanism.links_known:
+        explanation = link_outcome.explanation(sides, mechanism.position_unit)
+        unusable += [_NOT_HELD_OUT] if validation else []
     else:
         source = {name: None if given is None else str(given) for name, given in mechanism_of.items()}
-        explanation = compose(stages.findings(stages.validate(state), source))
+        explanation = replace(compose(stages.findings(stages.validate(state), source)), link_side=sides)
+        notes += [link_outcome.sentence(side, mechanism.position_unit) for side in sides]
     return replace(
         explanation,
         mechanism=mechanism.name,

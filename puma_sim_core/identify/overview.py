@@ -11,6 +11,7 @@ import numpy as np
 from puma_sim_core.identify.checks.gate import Checked, check
 from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.data.sampling import sample
+from puma_sim_core.identify.link_side.terms import BACKLASH, ELASTICITY, LAG
 from puma_sim_core.identify.prepare import library_of
 from puma_sim_core.identify.result import Hypothesis
 from puma_sim_core.identify.screening.hypotheses import candidates, hypotheses
@@ -74,6 +75,9 @@ def overview(log: Log, mechanism: Mechanism) -> Overview:
     if not checked.parts:
         other = check(replace(log, voltage=log.position, position=log.voltage, quantum=np.zeros(0)), mechanism)
         return Overview(log, checked, exchanged=bool(other.parts) and not other.doubts)
+    if not mechanism.links_known:
+        sought = [Hypothesis(name, j) for j in range(1, mechanism.joints + 1) for name in (LAG, ELASTICITY, BACKLASH)]
+        return Overview(log, checked, shown=tuple(sought))
     problem = Problem(sample(checked.parts), mechanism)
     s, start = problem.sampled, mechanism.start
     signals = replace(problem.signals(start), residual=problem.full_residual(start))

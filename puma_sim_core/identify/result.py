@@ -229,6 +229,40 @@ class Agreement:
 
 
 @dataclass(frozen=True)
+class LinkEffect:
+    """An effect on the link's side: its gain of evidence [nat] over the model without it.
+
+    sensor : "link" or "motor", whose reading is late, None of an effect of the transmission; law : "lag" (of first
+    order) or "delay" of these; either_law : whether the log cannot tell the two.
+    """
+
+    name: str
+    sensor: str | None
+    law: str
+    parameters: dict[str, Interval]
+    evidence: float
+    either_law: bool = False
+
+
+@dataclass(frozen=True)
+class LinkSide:
+    """How the reading of the sensor on the link's side of a joint (1-based) differs from the motor's.
+
+    before, after : root mean square of the difference [rad or m], below the filter's cutoff, with zero and ratio
+    fitted, without and with the effects; held_out_before, held_out_after : the same in blocks that were not fitted to;
+    floor : what the steps of two such sensors leave.
+    """
+
+    joint: int
+    effects: tuple[LinkEffect, ...]
+    before: float
+    after: float
+    held_out_before: float
+    held_out_after: float
+    floor: float
+
+
+@dataclass(frozen=True)
 class Explanation:
     """All that is found in a log. `model` is the augmented plant, None for a DATA_FAULT."""
 
@@ -257,3 +291,4 @@ class Explanation:
     seed: int = 0
     cuts: tuple[Fault, ...] = ()  # faults of rows that the logs were read without
     agreement: Agreement | None = None  # of several logs, each explained alone as well
+    link_side: tuple[LinkSide, ...] = ()  # of joints with a second sensor

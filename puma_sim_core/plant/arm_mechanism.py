@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from puma_sim_core.arm.arm import ArmParameters, Link, Motor
 from puma_sim_core.effects import VISCOUS, Effect
 from puma_sim_core.errors import ParameterError
+from puma_sim_core.plant.linkage.linkage_plant import LinkagePlant
 from puma_sim_core.plant.lumped import LumpedMechanism
 from puma_sim_core.plant.mechanism import Drive, MechanismParameter
 from puma_sim_core.plant.plant import Plant
@@ -84,13 +85,17 @@ class ArmMechanism(LumpedMechanism):
     def of_plant(self, plant: Plant) -> ArmMechanism:
         """See `Mechanism.of_plant`; joints without viscous friction in the plant keep that of the
         mechanism as the start (what is not known is not zero)."""
-        if plant.joints != 3:
-            what = f"a model of {plant.joints} joint"
-            raise ParameterError(what, where=self.name, expected="a model of three joints")
+        if isinstance(plant, LinkagePlant):
+            what = f"a model of kind {plant.body.kind}"
+            raise ParameterError(what, where=self.name, expected="a model of an arm")
         given = {e.joint for e in plant.effects if e.kind is VISCOUS}
         viscous = [plant.viscous_friction[j] if j + 1 in given else self.viscous[j] for j in range(3)]
         effects = [e for e in plant.effects if e.kind is not VISCOUS]
         return self.with_arm(plant.arm, viscous=viscous, effects=effects, torque_form=plant.torque_form)
+
+    @property
+    def library_sized(self) -> bool:
+        return True
 
     def of_links(self, name: str) -> bool:
         return name.startswith("link")

@@ -1,8 +1,9 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """What identification needs of a machine: parameters with priors, torques, a plant.
 
-A `Mechanism` is an arm of three joints (`arm_mechanism`) or a part of one (`linkage_mechanism`). The voltage
-that a motion takes is, joint by joint (equations 4.1 and 5.1),
+A `Mechanism` is an arm of three joints (`arm_mechanism`) or a part of one (`linkage_mechanism`), or joints of which
+only the transmissions are known (`transmission`). The voltage that a motion takes is, joint by joint (equations 4.1
+and 5.1),
 
     Vhat = k (1 + lag d/dt) [link torque + Ia qdd + H qd] + emf qd,   k = R / (N kt), lag = L / R.
 
@@ -84,6 +85,15 @@ class PositionServo(NamedTuple):
         travel = np.append(np.diff(position), 0.0)
         volts = self.gain * (goal - position - 0.5 * travel) - self.damping * travel / step
         return np.clip(volts, -self.limit, self.limit)
+
+
+class LinkSensor(NamedTuple):
+    """A second position sensor of a joint, on the link's side of its transmission; its zero is arbitrary.
+
+    resolution : the least change that it shows [rad or m].
+    """
+
+    resolution: float
 
 
 class Drive(NamedTuple):
@@ -221,6 +231,21 @@ class Mechanism(ABC):
     def servos(self) -> tuple[PositionServo | None, ...]:
         """(J,) the servo in each drive, None where there is none."""
         return (None,) * self.joints
+
+    @property
+    def link_sensors(self) -> tuple[LinkSensor | None, ...]:
+        """(J,) the second position sensor of each joint, on the link's side; None where there is none."""
+        return (None,) * self.joints
+
+    @property
+    def links_known(self) -> bool:
+        """Whether the rigid body is described, so that torques have a meaning and a plant can be simulated."""
+        return True
+
+    @property
+    def library_sized(self) -> bool:
+        """Whether the sizes and priors of the library's tables, which are of the PUMA 560, are this machine's own."""
+        return False
 
     @abstractmethod
     def of_plant(self, plant: Plant) -> Mechanism:

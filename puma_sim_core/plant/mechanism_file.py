@@ -9,6 +9,8 @@ width of the prior of each sort of number as a share of it.
 
 ``kind: pendulum``, ``kind: slide`` and ``kind: linkage`` (see `linkage`): a number of a body, a link or a drive also
 has ``deviation`` (in its unit), ``relative_deviation`` (a share of it) or ``known: true``, one of them.
+
+``kind: transmission``: joints of which only motor and the two sides of the gear are known (see `transmission`).
 """
 
 import os
@@ -25,9 +27,11 @@ from puma_sim_core.plant.linkage.linkage_file import check_bodies, read_linkage
 from puma_sim_core.plant.linkage.linkage_mechanism import LinkageMechanism
 from puma_sim_core.plant.mechanism import MECHANISM_FORMAT, Mechanism
 from puma_sim_core.plant.model_file import load_model
+from puma_sim_core.plant.quantities import GREATEST_FRICTION
+from puma_sim_core.plant.transmission import read_transmission
 from puma_sim_core.resources import config_path
 
-KINDS = ("arm", "linkage", "pendulum", "slide")
+KINDS = ("arm", "linkage", "pendulum", "slide", "transmission")
 
 
 def read_mechanism(path: str | os.PathLike[str]) -> Mechanism:
@@ -40,8 +44,11 @@ def read_mechanism(path: str | os.PathLike[str]) -> Mechanism:
     found = mapping.get("format") if isinstance(mapping, Mapping) else mapping
     if found != MECHANISM_FORMAT:
         reader.fail("format", f"{found!r}", f"'{MECHANISM_FORMAT}'")
-    if reader.choice(mapping.get("kind"), "kind", KINDS) == "arm":
+    kind = reader.choice(mapping.get("kind"), "kind", KINDS)
+    if kind == "arm":
         return _arm(reader, mapping, Path(path).parent)
+    if kind == "transmission":
+        return read_transmission(mapping, reader)
     linkage = read_linkage(mapping, reader)
     check_bodies(linkage, reader)
     return LinkageMechanism.of(linkage)
@@ -55,7 +62,7 @@ def _arm(reader: Reader, mapping: Mapping[str, Any], folder: Path) -> ArmMechani
     arm = load_parameters(beside if beside.is_file() else source)
 
     def three(key: str, unit: str, low: float) -> tuple[float, ...]:
-        return reader.numbers(reader.entry(mapping[key], key, unit)["value"], f"{key}.value", 3, low)
+        return reader.numbers(reader.entry(mapping[key], key, unit)["value"], f"{key}.value", 3, low, GREATEST_FRICTION)
 
     viscous, scale = three("viscous_friction", "N.m.s/rad", 0.0), three("torque_scale", "N.m", 1e-9)
     shares = reader.keys(mapping["relative_deviation"], "relative_deviation", WIDTHS)

@@ -59,6 +59,11 @@ _GREATEST = {
 }
 
 
+#: nominal friction [N.m or N] of no machine is greater, nor is a coefficient of viscous friction
+GREATEST_FRICTION = 1e9
+#: nor is a standard deviation a greater share of its number
+GREATEST_SHARE = 100.0
+
 #: of the machine as a whole
 GRAVITY = Quantity(("m/s^2",), "pull of gravity; 0 for joints that all turn about vertical axes", "not negative", 9.81)
 

@@ -19,7 +19,7 @@ _UNITS = {
     "voltage": {"v": 1.0, "volts": 1.0, "mv": 1e-3, "nm": 1.0},
     "position": {"rad": 1.0, "deg": pi / 180.0, "mrad": 1e-3, "m": 1.0, "mm": 1e-3, "turns": 2.0 * pi, "rev": 2.0 * pi},
 }
-_UNITS["setpoint"] = _UNITS["position"]
+_UNITS["setpoint"] = _UNITS["link_position"] = _UNITS["position"]
 #: a unit behind a name: position_deg, position [deg], position (deg)
 _BEHIND = re.compile(r"(?P<name>.+?)(?:_|\s*[\[(])(?P<unit>[A-Za-z.]+)[\])]?")
 #: words that a column of a group is called, the most telling first
@@ -37,9 +37,12 @@ _WORDS = {
         "tau_cmd",
         "tau",
         "torque",
+        "tau_motor",
+        "motor_torque",
         "command",
     ),
-    "position": ("position", "pos", "q", "q_meas", "theta", "angle", "x"),
+    "position": ("position", "pos", "q", "q_meas", "theta", "angle", "x", "motor_position", "q_motor"),
+    "link_position": ("link_position", "q_link", "link_angle", "load_position", "q_load"),
     "setpoint": ("setpoint", "goal", "target", "goal_position", "reference", "ref", "q_ref", "q_des", "desired"),
 }
 
@@ -85,12 +88,13 @@ def _split(name: str, group: str) -> tuple[str, str]:
     return (found["name"], unit) if found and unit.lower() in _UNITS.get(group, {}) else (name.strip(), "")
 
 
-def suggested(names: Sequence[str], inputs: Sequence[str]) -> dict[str, str]:
+def suggested(names: Sequence[str], inputs: Sequence[str], links: Sequence[str] = ()) -> dict[str, str]:
     """Channel -> column, for the time, the inputs and the positions, by the names of columns; {} where one is not
-    found. inputs : (J,) as for `read_log`."""
+    found. inputs : (J,) as for `read_log`; links : channels of link positions."""
     joints = [str(j) for j in range(1, len(inputs) + 1)]
     given = [(group, number) for number, group in zip(joints, inputs) if group]
     wanted = [("time", ""), *given, *(("position", number) for number in joints)]
+    wanted += [("link_position", channel.removeprefix("link_position")) for channel in links]
     found = {f"{group}{number}": _best(names, group, number, len(inputs)) for group, number in wanted}
     complete = all(found.values()) and len(set(found.values())) == len(found)
     return {channel: column for channel, column in found.items() if column} if complete else {}

@@ -8,6 +8,7 @@
 
 A linkage is an arm or a part of it: base (vertical axis), shoulder and elbow (parallel axes). Each is driven on
 voltage, current or torque, on goal positions with a servo in the drive, has no drive (none), is held, or is not there.
+Of a transmission nothing is known but the readings of both its sides, and the torque of its motor.
 """
 
 from __future__ import annotations
@@ -33,9 +34,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     new = actions.add_parser("new", help="write a file to fill in")
     new.add_argument("file", metavar="FILE", help="the file to write; - for standard output")
     add_force_argument(new)
-    kinds = ("arm", "linkage", "pendulum", "slide")
+    kinds = ("arm", "linkage", "pendulum", "slide", "transmission")
     new.add_argument("--kind", choices=kinds, required=True, help="what moves")
-    new.add_argument("--drive", choices=_AMPLIFIERS, help="of a pendulum or a slide")
+    new.add_argument("--drive", choices=_AMPLIFIERS, help="of a pendulum, a slide, or a transmission")
     for place in _PLACES:
         new.add_argument(f"--{place}", choices=(*_AMPLIFIERS, "held"), help=f"the {place} of a linkage")
     show = actions.add_parser("show", help="check a file, and say how it is read")
@@ -57,7 +58,7 @@ def _new(options: argparse.Namespace) -> int:
         raise ParameterError("--drive of a linkage", expected="--base, --shoulder and --elbow with a drive each")
     if options.drive is not None:
         given = {**given, "shoulder": options.drive}
-    elif options.kind in ("pendulum", "slide") and "shoulder" in given:
+    elif options.kind in ("pendulum", "slide", "transmission") and "shoulder" in given:
         raise ParameterError(f"--shoulder of a {options.kind}", expected="--drive")
     name = "mine" if options.file == "-" else Path(options.file).stem
     text = template(name, options.kind, given)
@@ -81,10 +82,13 @@ def _lines(m: Mechanism) -> Iterator[str]:
         rad, effort = m.position_unit, m.effort_unit
         motor = "driven" if m.driven[j] else "no drive"
         words = f"{low:g} to {high:g} {rad}, friction about {m.torque_scale[j]:g} {effort}, {motor}"
+        sensor = m.link_sensors[j]
+        if sensor is not None:
+            words += f", a sensor on the link's side with steps of {sensor.resolution:g} {rad}"
         if m.driven[j]:
             words += f", {drive.volts_per_torque[j]:.4g} of the input for 1 {effort}"
         yield f"  joint {j + 1}: {words}"
-    width = max(len(p.name) for p in m.parameters)
+    width = max((len(p.name) for p in m.parameters), default=0)
     for p in m.parameters:
         prior = "known" if p.known else f"+- {p.deviation:.3g}"
         yield f"  {p.name:{width}}  {p.value:.6g} {prior} {p.unit}"

@@ -105,8 +105,8 @@ def derivative(values: np.ndarray, signals: Signals) -> np.ndarray:
 
 
 def is_arm(signals: Signals) -> bool:
-    """Whether the log is of the arm, whose sizes are those of the library's table."""
-    return signals.joints == 3
+    """Whether the sizes of the library's tables are the machine's own."""
+    return signals.library_sized
 
 
 def volt_scale(signals: Signals, joint: int) -> float:

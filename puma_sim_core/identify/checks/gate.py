@@ -60,7 +60,7 @@ def check(log: Log, mechanism: Mechanism) -> Checked:
     whole, notes = _complete(log)
     parts: list[Log] = [whole]
     cuts: list[Fault] = []
-    for of_rows, find in _STAGES:
+    for of_rows, find in _STAGES if mechanism.links_known else _OF_SENSORS:
         if of_rows:
             parts, found, faults = _cut(parts, find, model)
             cuts += found
@@ -69,7 +69,7 @@ def check(log: Log, mechanism: Mechanism) -> Checked:
         if faults:
             return Checked((), tuple(first_of_each(cuts)), tuple(faults), tuple(notes))
     notes += _still(parts, mechanism)
-    doubts = _coarsely(_of_another_plant)(max(parts, key=len), model)
+    doubts = _coarsely(_of_another_plant)(max(parts, key=len), model) if mechanism.links_known else []
     return Checked(tuple(parts), tuple(first_of_each(cuts)), (), tuple(notes), tuple(doubts))
 
 
@@ -217,3 +217,5 @@ _STAGES: tuple[tuple[bool, Finder], ...] = (
     (True, voltage_spikes),
     (True, _outside),
 )
+#: those that need no model of the motion
+_OF_SENSORS = (_STAGES[0], _STAGES[-1])

@@ -313,6 +313,10 @@ def _channels(log: Log) -> Iterator[tuple[str, Floats]]:
     yield "time", log.time
     for group in ("voltage", "position", "velocity", "current", "setpoint"):
         yield from _of_joints(group, getattr(log, group))
+    # of a joint without such a sensor there is no number at all
+    for name, values in _of_joints("link_position", log.link_position):
+        if not np.isnan(values).all():
+            yield name, values
     yield from _enables(log)
 
 

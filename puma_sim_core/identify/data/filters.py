@@ -26,13 +26,14 @@ def edge(cutoff: float) -> float:
 
 
 def low_pass(
-    values: Floats, step: float, cutoff: float, orders: Sequence[int] = (0,), lag: float = 0.0
+    values: Floats, step: float, cutoff: float, orders: Sequence[int] = (0,), lag: float = 0.0, delay: float = 0.0
 ) -> list[Floats]:
     """Derivatives of a filtered series.
 
     values (n, ...) : samples each `step` [s], along the first axis.
     orders : which derivatives; 0 is the filtered series itself.
     lag : multiplies each by (1 + lag d/dt), `lag` in seconds.
+    delay : makes each so many seconds late.
 
     Returns
     -------
@@ -52,13 +53,13 @@ def low_pass(
     spectrum = fft.rfft(long - long[0] - slope * ramp, size, axis=0)
     frequency = fft.rfftfreq(size, step)
     omega = 2j * np.pi * frequency
-    gain = response(frequency, cutoff) * (1.0 + lag * omega)
+    gain = response(frequency, cutoff) * (1.0 + lag * omega) * np.exp(-omega * delay)
     inner = slice(pad, pad + n)
     result = []
     for order in orders:
         part = fft.irfft(spectrum * (gain * omega**order).reshape(shape), size, axis=0)[inner]
         if order == 0:
-            part = part + long[0] + slope * (ramp[inner] + lag)
+            part = part + long[0] + slope * (ramp[inner] + lag - delay)
         elif order == 1:
             part = part + slope
         result.append(part)

@@ -2,10 +2,11 @@
 """Reading of logs: anyone's CSV or a bag of `sim_node` as a `Log`.
 
 Channels: ``time`` [s], ``voltage1..J`` [V], ``position1..J`` [rad or m], and, where there are any, ``velocity1..J``,
-``current1..J``, ``setpoint1..J``, ``enable`` or ``enable1..J`` (0: the drive is off and no current flows). The voltage
-of a row is the commanded one and holds until the next row; the position of a row is the one at its time. A unit behind
-the name of a time, voltage or position is converted (t_ms, q1_deg). Gaps and NaN are taken over: `gate` judges them.
-Rows count from 1, the first row of numbers.
+``current1..J``, ``setpoint1..J``, ``enable`` or ``enable1..J`` (0: the drive is off and no current flows), and
+``link_position`` of those joints that have a second sensor, on the link's side. The voltage of a row is the commanded
+one and holds until the next row; the position of a row is the one at its time. A unit behind the name of a time,
+voltage or position is converted (t_ms, q1_deg). Gaps and NaN are taken over: `gate` judges them. Rows count from 1, the
+first row of numbers.
 """
 
 import os
@@ -24,7 +25,7 @@ from puma_sim_core.recording.column_names import own_column, suggested, unit_in
 from puma_sim_core.recording.csv_rows import CsvRows
 
 #: groups of channels, in the order of a file; the first two must be there
-GROUPS = ("voltage", "position", "velocity", "current", "setpoint", "enable")
+GROUPS = ("voltage", "position", "velocity", "current", "setpoint", "link_position", "enable")
 _REQUIRED = ("voltage", "position")
 
 
@@ -34,6 +35,7 @@ def read_log(
     joints: int = 3,
     *,
     inputs: Sequence[str] | None = None,
+    link_sensors: Sequence[bool] = (),
     greatest_rows: int = DATA.reading_greatest_rows,
 ) -> Log:
     """Read a CSV file or a bag (its directory or its .mcap file).
@@ -44,6 +46,7 @@ def read_log(
     joints : J, of the mechanism that the log is of.
     inputs : (J,) the channel of each joint's input, "voltage" or "setpoint", or "" of a joint without a drive; None:
         all are voltages. Channels of other joints are 0.
+    link_sensors : (J,) joints whose link position must be there; () none. Of other joints it is read if it is there.
     greatest_rows : of a longer CSV file the first so many are read, and a note says so.
 
     Raises
@@ -58,7 +61,9 @@ def read_log(
         return read_bag_log(os.fspath(path), joints)
     rows = CsvRows(path, measured=True)
     inputs = ("voltage",) * joints if inputs is None else tuple(inputs)
-    places, notes = _places(rows, _taken(rows, columns or {}, inputs), inputs, guessed=not columns)
+    needed = [f"link_position{j}" for j, there in enumerate(link_sensors, 1) if there]
+    taken = _taken(rows, columns or {}, inputs, needed)
+    places, notes = _places(rows, taken, inputs, guessed=not columns)
     table, lines, more = _table(rows, [place for group in places.values() for place in group], greatest_rows)
     units = {group: [unit_in(rows, place, group) for place in own] for group, own in places.items()}
     factors = [factor for own in units.values() for _, factor in own]
@@ -73,6 +78,10 @@ def read_log(
         if own.shape[1] < joints and (group == "voltage" or group in groups):
             groups[group] = np.zeros((len(time), joints))
             groups[group][:, [given == group for given in inputs]] = own
+    if "link_position" in groups:
+        own, sensed = groups["link_position"], [c in taken for c in channels("link_position", joints)]
+        groups["link_position"] = np.full((len(time), joints), np.nan)
+        groups["link_position"][:, sensed] = own
     if "enable" in groups and groups["enable"].shape[1] != joints:
         groups["enable"] = np.repeat(groups["enable"], joints, axis=1)
     return Log(name=str(path), time=time, lines=lines, notes=(*notes, *more), **groups)
@@ -111,8 +120,10 @@ def _where(rows: CsvRows) -> str:
     return f"{rows.path}, line {rows.names_line}"
 
 
-def _taken(rows: CsvRows, columns: Mapping[str, str], inputs: Sequence[str]) -> dict[str, str]:
-    """Channel -> column, of those that a file has."""
+def _taken(
+    rows: CsvRows, columns: Mapping[str, str], inputs: Sequence[str], links: Sequence[str] = ()
+) -> dict[str, str]:
+    """Channel -> column, of those that a file has; links : channels of link positions that must be there."""
     where, there, joints = _where(rows), ", ".join(rows.names), len(inputs)
     known = ["time", "enable", *(c for group in GROUPS for c in channels(group, joints))]
     for channel, column in columns.items():
@@ -138,11 +149,12 @@ def _taken(rows: CsvRows, columns: Mapping[str, str], inputs: Sequence[str]) -> 
             raise RecordingError(what, where="columns", expected="a column of its own for each")
         used[column] = channel
     required = [c for group in _REQUIRED for c in _needed(group, inputs)]
-    for channel in ("time", *required, *(_needed("setpoint", inputs) if "setpoint" in inputs else ())):
+    required += [*(_needed("setpoint", inputs) if "setpoint" in inputs else ()), *links]
+    for channel in ("time", *required):
         if channel not in taken:
             expected = f"a column of that name or one given as {channel}=COLUMN; there are {there}"
             expected += f". The plant has {joints} joints" if joints > 1 else ""
-            named = ",".join(f"{ours}={theirs}" for ours, theirs in suggested(rows.names, inputs).items())
+            named = ",".join(f"{ours}={theirs}" for ours, theirs in suggested(rows.names, inputs, links).items())
             expected += f". By their names: --columns {named}" if named and not columns else ""
             if len(rows.names) == 1:
                 expected += ". Fields stand between commas, semicolons or tabs"
@@ -166,7 +178,7 @@ def _places(
     for group in GROUPS:
         needed = _needed(group, inputs)
         found = [c for c in needed if c in taken]
-        if found and len(found) == len(needed):
+        if found and (len(found) == len(needed) or group == "link_position"):
             places[group] = [rows.names.index(taken[c]) for c in found]
         elif group == "enable" and "enable" in taken:
             places[group] = [rows.names.index(taken["enable"])]

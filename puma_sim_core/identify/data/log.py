@@ -12,7 +12,7 @@ from puma_sim_core.identify.arrays import Floats, Ints
 from puma_sim_core.identify.settings import DATA
 
 #: what has an entry for each row
-_BY_ROW = ("time", "voltage", "position", "velocity", "current", "setpoint", "enable", "lines")
+_BY_ROW = ("time", "voltage", "position", "velocity", "current", "setpoint", "link_position", "enable", "lines")
 
 
 @dataclass(frozen=True)
@@ -21,6 +21,7 @@ class Log:
 
     name : the path that was read; time (n,) [s]; voltage (n, J) [V]; position (n, J) [rad or m];
     velocity, current, setpoint, enable : (n, J), or None where the log has none of them.
+    link_position (n, J) : of the sensors on the link's side [rad or m], NaN of joints without; None without any.
     lines (n,) : line of each row in its file, None for a bag.
     quantum (J,) : step of the encoder in `position`, 0.0 where none can be seen.
     notes : what was left out or changed, as sentences. first : rows before these in the log that they are a part of.
@@ -33,6 +34,7 @@ class Log:
     velocity: Floats | None = None
     current: Floats | None = None
     setpoint: Floats | None = None
+    link_position: Floats | None = None
     enable: Floats | None = None
     lines: Ints | None = None
     quantum: Floats = field(default_factory=lambda: np.zeros(0))

@@ -15,7 +15,9 @@ from puma_sim_core.plant.mechanism import Mechanism
 
 def read_for(mechanism: Mechanism, path: str | os.PathLike[str], columns: Mapping[str, str] | None = None) -> Log:
     """Read a file by the joints and inputs of a mechanism; see `read_log`."""
-    return read_log(path, columns, mechanism.joints, inputs=mechanism.inputs)
+    # where nothing but the link's side is compared, it must be there
+    needed = () if mechanism.links_known else [sensor is not None for sensor in mechanism.link_sensors]
+    return read_log(path, columns, mechanism.joints, inputs=mechanism.inputs, link_sensors=needed)
 
 
 def with_volts(log: Log, mechanism: Mechanism) -> Log:

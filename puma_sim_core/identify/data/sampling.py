@@ -126,7 +126,7 @@ def sample(logs: Sequence[Log]) -> Sampled:
     for log in logs:
         if log.span < shortest:
             raise RecordingError(f"lasts {log.span:.3g} s", where=log.name, expected=f"{shortest:.2g} s at least")
-    grids = [_on_grid(log, step) for log in logs]
+    grids = [on_grid(log, step) for log in logs]
     motions = [filters.low_pass(grid.position, step, first, (0, 1, 2)) for grid in grids]
     position, velocity, acceleration = (np.concatenate(parts) for parts in zip(*motions))
     setpoints = [grid.setpoint for grid in grids if grid.setpoint is not None]
@@ -150,7 +150,7 @@ def sample(logs: Sequence[Log]) -> Sampled:
 
 
 @dataclass(frozen=True)
-class _Grid:
+class Grid:
     """A log at even times: (n,) and (n, J) before any filter."""
 
     time: Floats
@@ -160,17 +160,18 @@ class _Grid:
     setpoint: Floats | None
 
 
-def _on_grid(log: Log, step: float) -> _Grid:
+def on_grid(log: Log, step: float) -> Grid:
+    """A log at even times, `step` [s] apart."""
     enable = np.ones(log.voltage.shape) if log.enable is None else log.enable.astype(float)
     steps = (np.where(enable > 0.0, log.voltage, 0.0), enable)
     if abs(np.diff(log.time) / step - 1.0).max() < DATA.sampling_even:
         voltage, enable = (0.5 * (a[1:] + a[:-1]) for a in steps)
         setpoint = None if log.setpoint is None else log.setpoint[1:]
-        return _Grid(log.time[1:], voltage, enable, log.position[1:], setpoint)
+        return Grid(log.time[1:], voltage, enable, log.position[1:], setpoint)
     time = log.time[0] + step * np.arange(1, int((log.time[-1] - log.time[0]) / step) - 1)
     voltage, enable = (_step_mean(log.time, a, time, step) for a in steps)
     setpoint = None if log.setpoint is None else _interpolated(time, log.time, log.setpoint)
-    return _Grid(time, voltage, enable, Akima1DInterpolator(log.time, log.position, axis=0)(time), setpoint)
+    return Grid(time, voltage, enable, Akima1DInterpolator(log.time, log.position, axis=0)(time), setpoint)
 
 
 def _interpolated(at: Floats, time: Floats, values: Floats) -> Floats:

@@ -131,7 +131,7 @@ class PredictionFit:
     def _prior(self, effect: Effect, name: str) -> tuple[float, float]:
         """Distance of a parameter's logarithm from its prior, and one over its deviation; zeros without a prior."""
         prior = effect.kind.parameter(name).prior
-        if prior is None or self.mechanism.joints != 3:
+        if prior is None or not self.mechanism.library_sized:
             return 0.0, 0.0
         median, one = prior[0], 1.0 / float(np.log(prior[1]))
         return one * float(np.log(max(effect.values[name], FITTING.prior_floor * median) / median)), one

@@ -139,6 +139,11 @@ class Whitener:
                     factors[key] = cholesky(covariance[distance], lower=True)
                 self._blocks.append((block, factors[key]))
 
+    @property
+    def log_determinant(self) -> float:
+        """Half the logarithm of the determinant of the covariance of all rows."""
+        return sum(float(np.log(np.diagonal(factor)).sum()) for _, factor in self._blocks)
+
     def __call__(self, values: Floats) -> Floats:
         """Whitened rows (m, ...) of an array over all kept rows."""
         out = np.empty((len(self.rows), *values.shape[1:]))

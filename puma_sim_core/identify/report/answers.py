@@ -73,7 +73,7 @@ def improvement(e: result.Explanation) -> tuple[str, list[tuple[str, float, str]
     """(headline, meters, what they show) of the error before and after; a meter is stage, share [%] and number."""
     part = shown_part(e)
     if part is None:
-        return None
+        return _of_link_side(e) if e.link_side else None
     joint = e.effects[0].joint if e.effects else e.shape.joint if e.shape is not None else None
     what, base, values = "Open-loop position error", e.position_unit, _stages(e.errors[part].position_rms, joint)
     if not math.isfinite(values["retuned"]):
@@ -95,6 +95,17 @@ def improvement(e: result.Explanation) -> tuple[str, list[tuple[str, float, str]
         meters,
         f"{what} [{unit_text(unit)}], {where}, {data}{note}.",
     )
+
+
+def _of_link_side(e: result.Explanation) -> tuple[str, list[tuple[str, float, str]], str]:
+    """The same of readings of both sides of a transmission alone: root mean squares over the joints."""
+    squares = np.array([(s.held_out_before**2, s.held_out_after**2, s.floor**2) for s in e.link_side]).mean(axis=0)
+    values = dict(zip(("retuned", "augmented", "floor"), np.sqrt(squares).tolist()))
+    factor, unit = scale(values.values(), e.position_unit)
+    largest = max(values.values()) or 1.0
+    meters = [(name, 100.0 * value / largest, number(value * factor)) for name, value in values.items()]
+    note = f"Difference of the readings [{unit_text(unit)}], all joints, validation set."
+    return _times(values["retuned"], values["augmented"]), meters, note
 
 
 def _times(before: float, after: float) -> str:

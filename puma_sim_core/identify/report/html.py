@@ -18,6 +18,7 @@ _TITLES = {
     "shape": "What has no name",
     "errors": "How much better",
     "residual": "Residual before and after",
+    "link_side": "Both sides of the transmission",
     "agreement": "Same answer across logs",
     "ranking": "Why this, and not another",
     "whiteness": "What is left",

@@ -39,6 +39,7 @@ def report_mapping(explanation: result.Explanation) -> dict[str, Any]:
             "detectability": [_detectable(each) for each in e.detectability],
             "next_experiment": None if e.next_experiment is None else asdict(e.next_experiment),
             "agreement": None if e.agreement is None else _agreement(e.agreement),
+            "link_side": [_link_side(each) for each in e.link_side],
             "feedback_bias": None if e.feedback_bias is None else _feedback(e.feedback_bias),
             "ranking": [asdict(each) for each in e.ranking],
             "parameters": {
@@ -59,12 +60,17 @@ def report_mapping(explanation: result.Explanation) -> dict[str, Any]:
     )
 
 
-def _effect(effect: result.NamedEffect) -> dict[str, Any]:
+def _effect(effect: result.NamedEffect | result.LinkEffect) -> dict[str, Any]:
     parameters = {
         name: {"value": found.value, "ci95": [found.low, found.high], "unit": found.unit}
         for name, found in effect.parameters.items()
     }
     return {**asdict(effect), "parameters": parameters}
+
+
+def _link_side(side: result.LinkSide) -> dict[str, Any]:
+    effects = [{**asdict(each), "parameters": _effect(each)["parameters"]} for each in side.effects]
+    return {**asdict(side), "effects": effects}
 
 
 def _errors(errors: result.Errors) -> dict[str, Any]:

@@ -60,6 +60,25 @@ def ranking(e: Explanation) -> list[tuple[str, str, str, float, str]]:
     return rows
 
 
+def link_sides(e: Explanation) -> list[tuple[int, str, list[str], str]]:
+    """(joint, what was found, numbers, unit) of each joint with a second sensor; the numbers are root mean squares of
+    the readings' difference before and after, and what their steps leave."""
+    rows = []
+    for side in e.link_side:
+        values = (side.held_out_before, side.held_out_after, side.floor)
+        factor, unit = scale(values[:2], e.position_unit)
+        found = []
+        for effect in side.effects:
+            ((name, size),) = effect.parameters.items()
+            value, interval, shown = estimate(size)
+            whose = f" of the {effect.sensor}'s sensor" if effect.sensor else ""
+            size_words = f"{name.replace('_', ' ')} {value} {shown} ({interval})"
+            found.append(f"{effect_name(effect.name)}{whose}, {size_words}, {gain(effect.evidence)} nat")
+        words = "; ".join(found) or "nothing"
+        rows.append((side.joint, words, [number(each * factor) for each in values], unit_text(unit)))
+    return rows
+
+
 def heterogeneity(found: Agreement) -> list[tuple[str, list[str], bool]]:
     """(size, numbers, whether the logs agree) of the sizes that several logs give."""
     rows = []

@@ -61,6 +61,7 @@ def signals_of(
         payload_torque=payload_torque,
         inertia=inertia if coupled else None,
         position_gradient=mechanism.position_gradient(theta, q, qd, qdd) if coupled else None,
+        library_sized=mechanism.library_sized,
     )
 
 

@@ -18,7 +18,7 @@ from math import inf
 from typing import Any
 
 from puma_sim_core.errors import ParameterError
-from puma_sim_core.plant.mechanism import MechanismParameter, linear_unit
+from puma_sim_core.plant.mechanism import LinkSensor, MechanismParameter, linear_unit
 
 BASE, SHOULDER, ELBOW = PLACES = ("base", "shoulder", "elbow")
 #: kinds of files with one joint, whose numbers have no name of an axis before them
@@ -44,7 +44,8 @@ class Axis:
     """An axis that a linkage has.
 
     place : of `PLACES`; amplifier : of `quantities.AMPLIFIERS`, or "held"; limits : range [rad or m]; torque_scale :
-    nominal friction [N.m or N]; zero [rad]: angle at position 0; held : position [rad] of an axis that is held.
+    nominal friction [N.m or N]; zero [rad]: angle at position 0; held : position [rad] of an axis that is held;
+    link_sensor : that on the link's side, None without one.
     """
 
     place: str
@@ -53,6 +54,7 @@ class Axis:
     torque_scale: float = 0.0
     zero: float = 0.0
     held: float = 0.0
+    link_sensor: LinkSensor | None = None
 
     @property
     def moves(self) -> bool:

@@ -22,16 +22,30 @@ from puma_sim_core.plant.linkage.linkage import (
     Axis,
     Linkage,
 )
-from puma_sim_core.plant.mechanism import MECHANISM_FORMAT, MechanismParameter
-from puma_sim_core.plant.quantities import BASE_LINK, BODY, DRIVES, GRAVITY, KNOWN, LINK, Quantity
+from puma_sim_core.plant.mechanism import MECHANISM_FORMAT, LinkSensor, MechanismParameter
+from puma_sim_core.plant.quantities import (
+    BASE_LINK,
+    BODY,
+    DRIVES,
+    GRAVITY,
+    GREATEST_FRICTION,
+    GREATEST_SHARE,
+    KNOWN,
+    LINK,
+    Quantity,
+)
 
 #: numbers of a link that count where the base moves alone
 _UPRIGHT = ("beside", "inertia_along", "inertia_across")
+#: the key of a second position sensor on the link's side
+SENSOR = "link_sensor"
 _WIDTHS = ("deviation", "relative_deviation", "known")
-_SINGLE_KEYS = ("format", "name", "kind", "range", "torque_scale", "body", "drive")
+_SINGLE_KEYS = ("format", "name", "kind", "range", "torque_scale", "body", "drive", SENSOR)
 #: no joint moves further [rad or m, or mm as m]; the checks of the masses walk over the range
 _WIDEST = 1e4
-_MOVING_KEYS = ("range", "torque_scale", "zero", "link", "drive")
+#: angles of links are given within a turn, roughly [rad]
+_TURNED = 10.0
+_MOVING_KEYS = ("range", "torque_scale", "zero", "link", "drive", SENSOR)
 _HELD_KEYS = (HELD, "zero", "link")
 
 
@@ -70,13 +84,13 @@ def body_quantities(kind: str) -> dict[str, Quantity]:
 
 
 def _single(reader: Reader, mapping: Any, kind: str) -> tuple[tuple[Axis, ...], tuple[MechanismParameter, ...]]:
-    reader.keys(mapping, "", _SINGLE_KEYS, optional=("format",))
-    limits, scale, amplifier = _moving(reader, mapping, "", kind)
+    reader.keys(mapping, "", _SINGLE_KEYS, optional=("format", SENSOR))
+    limits, scale, amplifier = moving(reader, mapping, "", kind)
     parameters = (
         *_numbers(reader, mapping["body"], "body", body_quantities(kind), kind),
-        *_drive_numbers(reader, mapping["drive"], "drive", amplifier, kind),
+        *drive_numbers(reader, mapping["drive"], "drive", amplifier, kind),
     )
-    return (Axis(SHOULDER, amplifier, limits, scale),), parameters
+    return (Axis(SHOULDER, amplifier, limits, scale, link_sensor=link_sensor(reader, mapping, "", kind)),), parameters
 
 
 def _several(reader: Reader, mapping: Any, kind: str) -> tuple[tuple[Axis, ...], tuple[MechanismParameter, ...]]:
@@ -113,23 +127,25 @@ def _axis(
     """An axis of a linkage, and the numbers of its link and its drive."""
     held = _is_held(entry)
     keys = [key for key in (_HELD_KEYS if held else _MOVING_KEYS) if key != "zero" or place != BASE]
-    reader.keys(entry, place, keys, optional=("zero", "link") if held and place == BASE else ("zero",))
-    zero = reader.quantity(entry["zero"], f"{place}.zero", "rad") if "zero" in entry else 0.0
+    reader.keys(entry, place, keys, optional=("zero", "link") if held and place == BASE else ("zero", SENSOR))
+    zero = reader.quantity(entry["zero"], f"{place}.zero", "rad", -_TURNED, _TURNED) if "zero" in entry else 0.0
     numbers: list[MechanismParameter] = []
     if "link" in entry:
         numbers += _numbers(reader, entry["link"], f"{place}.link", quantities, "linkage", f"{place}.")
     if held:
-        return Axis(place, HELD, zero=zero, held=reader.quantity(entry[HELD], f"{place}.{HELD}", "rad")), numbers
-    limits, scale, amplifier = _moving(reader, entry, f"{place}.", "linkage")
-    numbers += _drive_numbers(reader, entry["drive"], f"{place}.drive", amplifier, "linkage", f"{place}.")
-    return Axis(place, amplifier, limits, scale, zero), numbers
+        angle = reader.quantity(entry[HELD], f"{place}.{HELD}", "rad", -_TURNED, _TURNED)
+        return Axis(place, HELD, zero=zero, held=angle), numbers
+    limits, scale, amplifier = moving(reader, entry, f"{place}.", "linkage")
+    numbers += drive_numbers(reader, entry["drive"], f"{place}.drive", amplifier, "linkage", f"{place}.")
+    sensor = link_sensor(reader, entry, f"{place}.", "linkage")
+    return Axis(place, amplifier, limits, scale, zero, link_sensor=sensor), numbers
 
 
 def _is_held(entry: Any) -> bool:
     return isinstance(entry, Mapping) and HELD in entry
 
 
-def _moving(reader: Reader, entry: Mapping[str, Any], key: str, kind: str) -> tuple[tuple[float, float], float, str]:
+def moving(reader: Reader, entry: Mapping[str, Any], key: str, kind: str) -> tuple[tuple[float, float], float, str]:
     """Range, nominal friction and amplifier of an axis that moves; key : the prefix of its keys."""
     rad, effort = ("m", "N") if kind == "slide" else ("rad", "N.m")
     at = f"{key}range"
@@ -138,15 +154,25 @@ def _moving(reader: Reader, entry: Mapping[str, Any], key: str, kind: str) -> tu
         reader.fail(f"{at}.value", f"from {low:g} to {high:g}", "the lower end first")
     if max(abs(low), abs(high)) > _WIDEST:
         reader.fail(f"{at}.value", f"from {low:g} to {high:g}", f"ends within {_WIDEST:g} {rad} of zero")
-    scale = reader.quantity(entry["torque_scale"], f"{key}torque_scale", effort, 1e-9)
+    scale = reader.quantity(entry["torque_scale"], f"{key}torque_scale", effort, 1e-9, GREATEST_FRICTION)
     drive = entry["drive"]
     found = drive.get("amplifier") if isinstance(drive, Mapping) else drive
     return (low, high), scale, reader.choice(found, f"{key}drive.amplifier", DRIVES)
 
 
-def _drive_numbers(
+def link_sensor(reader: Reader, entry: Mapping[str, Any], key: str, kind: str) -> LinkSensor | None:
+    """The sensor on the link's side of a joint, None without one; key : the prefix of its keys."""
+    if SENSOR not in entry:
+        return None
+    own = reader.keys(entry[SENSOR], f"{key}{SENSOR}", LinkSensor._fields)
+    unit = "m" if kind == "slide" else "rad"
+    return LinkSensor(reader.quantity(own["resolution"], f"{key}{SENSOR}.resolution", unit, 1e-12, 1.0))
+
+
+def drive_numbers(
     reader: Reader, drive: Mapping[str, Any], key: str, amplifier: str, kind: str, prefix: str = ""
 ) -> Iterator[MechanismParameter]:
+    """The numbers of a drive; prefix : of their names."""
     motor = {name: value for name, value in drive.items() if name != "amplifier"}
     return _numbers(reader, motor, key, DRIVES[amplifier], kind, prefix)
 
@@ -171,7 +197,8 @@ def _numbers(
             reader.fail(at, what, "one of deviation, relative_deviation or known: true")
         (word,), deviation, signed = widths, 0.0, quantity.sign == "any"
         if word != "known":
-            deviation = reader.number(entry[word], f"{at}.{word}", 1e-12)
+            most = GREATEST_SHARE if word == "relative_deviation" else quantity.greatest(entry["unit"])
+            deviation = reader.number(entry[word], f"{at}.{word}", 1e-12, most)
             deviation *= abs(value) if word == "relative_deviation" else 1.0
             if deviation == 0.0 or (value == 0.0 and not signed):
                 reader.fail(at, "0 with a prior", f"known: true, {'a deviation' if signed else 'or a start above 0'}")
@@ -210,18 +237,21 @@ def linkage_mapping(linkage: Linkage) -> dict[str, Any]:
         found = [(p, p.name.removeprefix(prefix), width) for p, width in zip(own, widths)]
         return {name: entry(f"{key}.{name}", p.value, p.unit, **width) for p, name, width in found}
 
-    def moving(axis: Axis, key: str) -> dict[str, Any]:
+    def limits(axis: Axis, key: str) -> dict[str, Any]:
         rad, effort = linkage.unit_of("rad"), linkage.unit_of("N.m")
+        sensor = axis.link_sensor
+        own = {} if sensor is None else {"resolution": entry(f"{key}{SENSOR}.resolution", sensor.resolution, rad)}
         return {
             "range": entry(f"{key}range", list(axis.limits), rad),
             "torque_scale": entry(f"{key}torque_scale", axis.torque_scale, effort),
+            **({SENSOR: own} if own else {}),
         }
 
     head: dict[str, Any] = {"format": MECHANISM_FORMAT, "name": linkage.name, "kind": linkage.kind}
     if linkage.kind in SINGLE:
         (axis,) = linkage.axes
         drive = {"amplifier": axis.amplifier, **group("drive", DRIVES[axis.amplifier])}
-        return {**head, **moving(axis, ""), "body": group("body", body_quantities(linkage.kind)), "drive": drive}
+        return {**head, **limits(axis, ""), "body": group("body", body_quantities(linkage.kind)), "drive": drive}
     head |= {
         p.name: entry(p.name, p.value, p.unit, **({"known": True} if p.known else {"deviation": p.deviation}))
         for p in linkage.parameters
@@ -234,7 +264,7 @@ def linkage_mapping(linkage: Linkage) -> dict[str, Any]:
         link = {"link": group(f"{place}.link", {**LINK, **BASE_LINK}, f"{place}.")}
         if axis.moves:
             drive = {"amplifier": axis.amplifier, **group(f"{place}.drive", DRIVES[axis.amplifier], f"{place}.")}
-            head[place] = {**moving(axis, f"{place}."), **zero, **link, "drive": drive}
+            head[place] = {**limits(axis, f"{place}."), **zero, **link, "drive": drive}
         else:
             head[place] = {HELD: entry(f"{place}.{HELD}", axis.held, "rad"), **zero, **(link if link["link"] else {})}
     return head

@@ -16,7 +16,7 @@ from puma_sim_core.plant.carrier import carrier, layout_of
 from puma_sim_core.plant.linkage.linkage import PASSIVE, POSITION, Axis, Linkage
 from puma_sim_core.plant.linkage.linkage_plant import LinkagePlant, obstacle
 from puma_sim_core.plant.lumped import LumpedMechanism
-from puma_sim_core.plant.mechanism import Drive, PositionServo
+from puma_sim_core.plant.mechanism import Drive, LinkSensor, PositionServo
 from puma_sim_core.plant.plant import Plant
 from puma_sim_core.plant.quantities import DRIVES
 
@@ -71,6 +71,10 @@ class LinkageMechanism(LumpedMechanism):
     @property
     def servos(self) -> tuple[PositionServo | None, ...]:
         return tuple(self._servo(axis) for axis in self.body.moving)
+
+    @property
+    def link_sensors(self) -> tuple[LinkSensor | None, ...]:
+        return tuple(axis.link_sensor for axis in self.body.moving)
 
     def _servo(self, axis: Axis) -> PositionServo | None:
         if axis.amplifier != POSITION:
