@@ -41,6 +41,7 @@ def test_the_bench_has_all_machines_of_the_measured_data():
         "dfki_double_c1",
         "qube",
         "so101",
+        "so101_rotation",
         "kuka",
         "other_generator",
     ]
