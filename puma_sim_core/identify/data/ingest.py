@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from puma_sim_core.errors import RecordingError, one_of
+from puma_sim_core.errors import RecordingError
 from puma_sim_core.identify.arrays import Floats, Ints
 from puma_sim_core.identify.data.bag_log import read_bag_log
 from puma_sim_core.identify.data.log import Log, channels
@@ -128,11 +128,9 @@ def _taken(
     known = ["time", "enable", *(c for group in GROUPS for c in channels(group, joints))]
     for channel, column in columns.items():
         if channel not in known:
-            raise RecordingError(
-                f"unknown channel '{channel}'",
-                where="columns",
-                expected=one_of(channel, known, "the channels of a log"),
-            )
+            groups = ", ".join(f"{group}1" for group in GROUPS if group != "enable")
+            expected = f"time, enable, {groups}{', voltage2 and so on' if joints > 1 else ''}"
+            raise RecordingError(f"unknown channel '{channel}'", where="columns", expected=expected)
         if column not in rows.names:
             what = f"no column '{column}' (asked for as {channel})"
             raise RecordingError(what, where=where, expected=f"one of the columns {there}")
