@@ -56,7 +56,7 @@ setup(
     package_data={
         # texts and tables of the thesis, sentences about effects, templates of the pages
         "puma_sim_core": ["py.typed", "**/*.yaml", "**/*.html", "**/*.css", "**/*.js", "*.pyi"],
-        "puma_sim_ros": ["py.typed", "**/*.yaml"],
+        "puma_sim_ros": ["py.typed", "**/*.yaml", "*.xml"],
         "puma_sim_core.config": [path.relative_to(ROOT / "config").as_posix() for path in CONFIG_FILES],
     },
     data_files=[

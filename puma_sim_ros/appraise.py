@@ -12,9 +12,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import rclpy
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 
 from puma_sim_core.appraisal import controllers
 from puma_sim_core.appraisal.appraise import check_controllers, run_battery
@@ -32,6 +30,7 @@ from puma_sim_ros.appraisal.command import words_of
 from puma_sim_ros.appraisal.topics import Topics
 from puma_sim_ros.appraisal.units import Units
 from puma_sim_ros.node.parameters import FORMS, of_ros
+from puma_sim_ros.startup import ros_started
 
 #: name -> default and meaning; those of `puma-sim appraise` that mean something here
 PARAMETERS: dict[str, tuple[Any, str]] = {
@@ -175,23 +174,19 @@ def main(args: list[str] | None = None) -> int:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, interrupted)
     try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    except Exception as error:  # rclpy gives the binding's own types for bad arguments
-        print(f"appraise: {str(error).splitlines()[0]}", file=sys.stderr)
-        return 2
-    try:
-        # nobody asks for its parameters, and each service would slow down each look at the topics
-        node = Node("appraise", automatically_declare_parameters_from_overrides=True, start_parameter_services=False)
-        print("\n".join(run(node)))
-        return 0
+        with ros_started(args):
+            # nobody asks for its parameters, and each service would slow down each look at the topics
+            node = Node(
+                "appraise", automatically_declare_parameters_from_overrides=True, start_parameter_services=False
+            )
+            print("\n".join(run(node)))
+            return 0
     except (PumaSimError, OSError) as error:
         print(f"appraise: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("appraise: interrupted; the same command goes on where it stopped", file=sys.stderr)
         return 130
-    finally:
-        rclpy.try_shutdown()
 
 
 if __name__ == "__main__":

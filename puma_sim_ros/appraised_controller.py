@@ -8,6 +8,7 @@ import rclpy
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
@@ -18,6 +19,7 @@ from puma_sim_core.control.controllers import make_controller
 from puma_sim_core.errors import PumaSimError
 from puma_sim_ros.external_controller import PARAMETERS, settings_of
 from puma_sim_ros.messages import qos, stamp_ns
+from puma_sim_ros.startup import ros_started
 
 #: parameters of `external_controller` that mean something here
 _OWN = ("parameter_set", "controller", "controllers_file", "gain", "integral_time", "derivative_time")
@@ -67,16 +69,14 @@ class AppraisedController(Node):
 
 def main(args: list[str] | None = None) -> int:
     """Entry point of ``appraised_controller``; returns the exit status."""
-    rclpy.init(args=args)
     try:
-        rclpy.spin(AppraisedController())
+        with ros_started(args, SignalHandlerOptions.ALL):
+            rclpy.spin(AppraisedController())
     except (PumaSimError, ParameterException) as error:
         print(f"appraised_controller: {error}", file=sys.stderr)
         return 1
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
-    finally:
-        rclpy.try_shutdown()
     return 0
 
 

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import rclpy
 from rclpy.duration import Duration
-from rclpy.signals import SignalHandlerOptions
 
 from puma_sim_core.errors import BagError, PumaSimError
 from puma_sim_core.recording.bag import iterate_messages, names_told
@@ -24,6 +23,7 @@ from puma_sim_core.recording.topics import (
     Topic,
 )
 from puma_sim_ros.messages import LOSSLESS, qos
+from puma_sim_ros.startup import ros_started
 
 #: topics on which a simulator listens
 _COMMANDS = (*ARRAY_COMMANDS.values(), JOINT_COMMANDS)
@@ -68,10 +68,9 @@ def publish_bag(path: str | Path, *, rate: float = 1.0, commands_only: bool | No
         recorded = [message for message in recorded if message.type != TF_MESSAGE]
     if commands_only:
         recorded = commands
-    # without handlers of rclpy's: an interruption ends a wait here, not ROS under our feet
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    node = rclpy.create_node("bag_publisher")
-    try:
+    # an interruption ends a wait here, not ROS under our feet
+    with ros_started():
+        node = rclpy.create_node("bag_publisher")
         publishers = {}
         for topic, kind in {message.topic: message.type for message in recorded}.items():
             profile = qos(LOSSLESS, latched=topic == FIXED_FRAMES.name or is_one_of(topic, _LATCHED))
@@ -99,9 +98,7 @@ def publish_bag(path: str | Path, *, rate: float = 1.0, commands_only: bool | No
             publishers[message.topic].publish(message.data)
         for publisher in publishers.values():
             publisher.wait_for_all_acked(Duration(seconds=1))
-    finally:
         node.destroy_node()
-        rclpy.try_shutdown()
     return len(recorded)
 
 

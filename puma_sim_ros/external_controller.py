@@ -16,13 +16,13 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-import rclpy
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
@@ -32,6 +32,7 @@ from puma_sim_core.control.setpoints import vertical_line
 from puma_sim_core.errors import PumaSimError
 from puma_sim_core.recording.recording import Recording, write_csv
 from puma_sim_ros.messages import qos, stamp_ns
+from puma_sim_ros.startup import ros_started
 
 PARAMETERS = {
     "simulator": "sim_node",  # its name
@@ -194,23 +195,21 @@ def report(recording: Recording, period: float) -> str:
 def run_to_its_end(name: str, make: Callable[[], ExternalController], finish: Callable[..., None], args=None) -> int:
     """Make a controller's node, connect it, wait until it is done, and finish; returns the exit status, 0 as well
     where it was interrupted."""
-    rclpy.init(args=args)
     try:
-        node = make()
-        node.connect()
-        node.wait_until(lambda: node.done, "its next state")
-        finish(node)
+        with ros_started(args, SignalHandlerOptions.ALL):
+            try:
+                node = make()
+                node.connect()
+                node.wait_until(lambda: node.done, "its next state")
+                finish(node)
+            except (KeyboardInterrupt, ExternalShutdownException):
+                # `ros2 launch` sends on what the terminal has sent, and takes another status than 0 for a failure
+                signal.signal(signal.SIGINT, signal.SIG_IGN)
+                print(f"{name}: interrupted", file=sys.stderr)
         return 0
     except (PumaSimError, ParameterException) as error:
         print(f"{name}: {error}", file=sys.stderr)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        # `ros2 launch` sends on what the terminal has sent, and takes another status than 0 for a failure
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        print(f"{name}: interrupted", file=sys.stderr)
-        return 0
-    finally:
-        rclpy.try_shutdown()
-    return 1
+        return 1
 
 
 def _finish(node: ExternalController) -> None:

@@ -29,7 +29,7 @@ def main(args: list[str] | None = None) -> int:
     except PumaSimError as error:
         print(f"sim_node: {error}", file=sys.stderr)
         return 2
-    from puma_sim_ros.node.simulator_node import main as run  # the kernel is built from the effects known by then
+    from puma_sim_ros.node.run import main as run  # the kernel is built from the effects known by then
 
     return run(args)
 

@@ -7,12 +7,10 @@ import time
 from collections import deque
 from math import inf, isfinite
 
-import rclpy
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
@@ -22,6 +20,7 @@ from puma_sim_core.view.chain import chain_of_urdf
 from puma_sim_core.view.live import Live, Sample
 from puma_sim_core.view.server import HOST, address, serving
 from puma_sim_ros.messages import LOSSLESS, qos, stamp_ns
+from puma_sim_ros.startup import ros_started
 
 PARAMETERS = {
     "simulator": ("sim_node", "Name of the simulator's node."),
@@ -133,19 +132,13 @@ def main(args=None) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.append(True))
     try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    except Exception as error:  # rclpy gives the binding's own types for bad arguments
-        print(f"viewer: {str(error).splitlines()[0]}", file=sys.stderr)
-        return 2
-    try:
-        node = Viewer()
-        run(node, lambda: bool(stop))
-        node.destroy_node()
+        with ros_started(args):
+            node = Viewer()
+            run(node, lambda: bool(stop))
+            node.destroy_node()
     except (PumaSimError, ParameterException) as error:
         print(f"viewer: {error}", file=sys.stderr)
         return 2
-    finally:
-        rclpy.try_shutdown()
     return 0
 
 

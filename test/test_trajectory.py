@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
 from puma_sim_core.control.trajectory import Follower, Waypoint, trajectory_setpoints
 from puma_sim_core.errors import CommandError
@@ -77,6 +78,19 @@ def test_positions_alone_are_not_overshot(targets):
         low, high = sorted(knots[place : place + 2])
         assert low - 1e-12 <= value <= high + 1e-12
     assert found[-1] == targets[-1]
+
+
+def test_positions_alone_are_joined_as_scipy_joins_them():
+    """Monotone cubics at rest at both ends; an independent implementation, with turns and equal points."""
+    times = np.array([0.0, 0.5, 0.9, 2.0, 2.3, 4.0, 5.0])
+    rng = np.random.default_rng(4)
+    position = np.array(START) + 0.03 * rng.standard_normal((len(times), 3)).cumsum(axis=0)
+    position[0], position[4, 1] = START, position[3, 1]
+    slopes = PchipInterpolator(times, position).derivative()(times)
+    slopes[[0, -1]] = 0.0
+    found = setpoints(*(Waypoint(*point) for point in zip(times, position)))
+    wanted = CubicHermiteSpline(times, position, slopes)(np.minimum(PERIOD * np.arange(len(found)), times[-1]))
+    np.testing.assert_allclose(found, wanted, atol=1e-13, rtol=0)
 
 
 def test_a_session_follows_what_was_accepted():

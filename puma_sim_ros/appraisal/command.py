@@ -12,6 +12,7 @@ import threading
 from pathlib import Path
 
 from puma_sim_core.errors import ParameterError
+from puma_sim_ros.startup import users_environment
 
 _KEEPER = Path(__file__).with_name("keeper.py")
 #: time that a process has to end when it is asked to [s]
@@ -48,6 +49,7 @@ class Running:
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             start_new_session=True,
+            env=users_environment(),
         )
         self._said = b""
         self._reader = threading.Thread(target=self._read, daemon=True)

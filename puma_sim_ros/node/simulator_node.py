@@ -7,22 +7,17 @@ and records. All of it runs in one thread, in the order in which it is written.
 
 import contextlib
 import gc
-import signal
-import sys
 import time
 from dataclasses import replace
 from typing import NoReturn
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
-from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
@@ -434,43 +429,3 @@ def _warm_up(config: SessionConfig) -> None:
     """A step of a session that is thrown away: what it needs is loaded before time runs."""
     with contextlib.suppress(NonFiniteStateError):
         Session(config).step()
-
-
-def main(args=None) -> int:
-    """Entry point of ``sim_node``; returns the exit status."""
-    stop = []
-    # rclpy's own handlers would shut ROS down in the middle of a step, and Python's default one
-    # could interrupt a record of the bag
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, lambda *_: stop.append(True))
-    node = None
-    try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    except Exception as error:  # rclpy gives the binding's own types for bad arguments
-        print(f"sim_node: {str(error).splitlines()[0]}", file=sys.stderr)
-        return 2
-    try:
-        node = SimNode()
-    except (PumaSimError, ParameterException, OSError) as error:
-        print(f"sim_node: {error}", file=sys.stderr)
-        rclpy.try_shutdown()
-        return 2
-    status = 0
-    try:
-        node.run(lambda: bool(stop))
-    except (PumaSimError, OSError) as error:
-        node.get_logger().error(str(error))
-        status = 1
-    finally:
-        try:
-            node.close()
-        except (PumaSimError, OSError) as error:
-            node.get_logger().error(str(error))
-            status = 1
-        node.get_logger().info(node.summary())
-        # a second Ctrl-C, or the one that ros2 launch sends on, would kill Python while it ends
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            signal.signal(number, signal.SIG_IGN)
-        node.destroy_node()
-        rclpy.try_shutdown()
-    return status

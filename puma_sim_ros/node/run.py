@@ -1,0 +1,51 @@
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
+"""`SimNode` from its start to its end by a signal."""
+
+import signal
+import sys
+
+from rclpy.exceptions import ParameterException
+
+from puma_sim_core.errors import PumaSimError
+from puma_sim_ros.node.simulator_node import SimNode
+from puma_sim_ros.startup import ros_started
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Entry point of ``sim_node``; returns the exit status: 2 where it does not start, 1 where it failed later."""
+    stop: list[bool] = []
+    # Python's own handler could interrupt a record of the bag
+    for number in _SIGNALS:
+        signal.signal(number, lambda *_: stop.append(True))
+    try:
+        with ros_started(args):
+            node = SimNode()
+            try:
+                return _run(node, stop)
+            finally:
+                node.destroy_node()
+    except (PumaSimError, ParameterException, OSError) as error:
+        print(f"sim_node: {error}", file=sys.stderr)
+        return 2
+
+
+def _run(node: SimNode, stop: list[bool]) -> int:
+    status = 0
+    try:
+        node.run(lambda: bool(stop))
+    except (PumaSimError, OSError) as error:
+        node.get_logger().error(str(error))
+        status = 1
+    finally:
+        try:
+            node.close()
+        except (PumaSimError, OSError) as error:
+            node.get_logger().error(str(error))
+            status = 1
+        node.get_logger().info(node.summary())
+        # a second Ctrl-C, or the one that ros2 launch sends on, would kill Python while it ends
+        for number in _SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
+    return status
