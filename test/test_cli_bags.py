@@ -216,11 +216,34 @@ def test_recover_goes_where_it_is_told(recorded, tmp_path, capsys):
     assert call("replay", tmp_path / "there") == 0
 
 
-def test_recover_never_writes_over_anything(recorded, tmp_path, capsys):
+def test_recover_writes_over_nothing_unless_told_so(recorded, tmp_path, capsys):
     shutil.copytree(recorded, tmp_path / "run_recovered")
-    assert_refused(capsys, tmp_path, "recover", recorded, says=["run_recovered", "exists already"])
+    assert_refused(capsys, tmp_path, "recover", recorded, says=["run_recovered", "exists already", "--force"])
     assert_refused(capsys, tmp_path, "recover", recorded, "--out", recorded, says=["exists already"])
     assert_refused(capsys, tmp_path, "recover", tmp_path / "nowhere", says=["nowhere: does not exist"])
+
+
+def test_recover_replaces_a_bag_and_nothing_else_where_it_is_told_to(recorded, tmp_path, capsys):
+    assert call("recover", recorded, "--out", tmp_path / "first") == 0
+    record_session(tmp_path / "old", SessionConfig(plant_of()), {}, 3)
+    assert call("recover", recorded, "--out", tmp_path / "old", "--force") == 0
+    assert read_bag(tmp_path / "old").steps[-1] == STEPS
+    assert sorted(path.name for path in (tmp_path / "old").iterdir()) == ["metadata.yaml", "old_0.mcap"]
+    assert mcap_of(tmp_path / "old").read_bytes() == mcap_of(tmp_path / "first").read_bytes()
+
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "notes.txt").write_text("mine")
+    (tmp_path / "file").write_text("mine")
+    for name in ("mine", "file"):
+        refused = ("recover", recorded, "--out", tmp_path / name, "--force")
+        assert_refused(capsys, tmp_path, *refused, says=[name, "is no bag"])
+    refused = ("recover", recorded, "--out", recorded, "--force")
+    assert_refused(capsys, tmp_path, *refused, says=["is the bag that is recovered"])
+    # what cannot be read replaces nothing
+    mcap_of(recorded).write_bytes(b"no bag")
+    assert_refused(
+        capsys, tmp_path, "recover", recorded, "--out", tmp_path / "old", "--force", says=[mcap_of(recorded).name]
+    )
 
 
 def test_the_model_in_a_bag_is_a_model_file(recorded, tmp_path, capsys):

@@ -6,7 +6,8 @@
 
 Of `explain-many` and of `appraise`, whose folder then has the whole report.
 
-All shards must be finished, and of one and the same command.
+All shards must be finished, and of one and the same command. A folder that holds the results of anything else is
+refused; the table or report of the same run is written anew.
 """
 
 from __future__ import annotations

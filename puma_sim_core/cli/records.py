@@ -97,13 +97,14 @@ def add_recover_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `recover`."""
     parser.add_argument("bag", metavar="BAG", help="the bag's directory, or its first .mcap file alone")
     parser.add_argument("--out", metavar="DIR", help="the bag to make (default: BAG with _recovered behind its name)")
+    add_force_argument(parser)
 
 
 def recover_bag(options: argparse.Namespace) -> int:
     """Recover and say what was there; raises BagError."""
     from puma_sim_core.recording.bag import recover
 
-    found = recover(options.bag, options.out)
+    found = recover(options.bag, options.out, force=options.force)
     whole = ", all of it: the original was closed" if found.was_complete else ""
     print(f"{found.path}: {found.steps} steps, {found.last_time_ns * 1e-9:.3f} s{whole}")
     for path, offset, size, what in found.damage:
