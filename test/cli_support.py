@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from puma_sim_core.cli import main
+from puma_sim_core.compiling import STARTS
 from puma_sim_core.files import yaml_text
 from puma_sim_core.recording.bag import BagRecorder
 from puma_sim_core.recording.recording import Recording, read_csv, write_csv
@@ -37,8 +38,8 @@ def puma_sim(*arguments, patience: float = 170.0, **environment: str) -> subproc
 
 
 def complaints(process: subprocess.CompletedProcess) -> list[str]:
-    """What a command wrote to standard error beside its progress, which a slow machine shows."""
-    progress = re.compile(r"puma-sim: .+: +\d+%, \d+ s")
+    """What a command wrote to standard error, without its progress and the note of a first start."""
+    progress = re.compile(r"puma-sim: .+: +\d+%, \d+ s|puma-sim: " + re.escape(STARTS))
     return [line for line in process.stderr.splitlines() if not progress.fullmatch(line)]
 
 
