@@ -4,15 +4,18 @@
 from __future__ import annotations
 
 import os
+import signal
 import socket
 import time
 
+import numpy as np
 import pytest
 
 rclpy = pytest.importorskip("rclpy")
 
 from ros_support import Program, arguments, run_program
 
+from puma_sim_core.simulation.replay import replay
 from puma_sim_ros.startup import StartError, ros_started, users_environment
 
 VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
@@ -67,6 +70,21 @@ def test_all_programs_refuse_arguments_that_ros_does_not_take(program):
     assert done.returncode in (1, 2)
     assert done.stderr.strip().splitlines()[-1].startswith(f"{program}: ")
     assert "x:y:" in done.stderr and "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_at_any_moment_of_the_start_leaves_a_closed_bag_or_none(tmp_path, number):
+    for moment in np.linspace(0.3, 1.8, 6):
+        bag = tmp_path / f"bag{moment:.1f}"
+        node = Program("puma_sim_ros.sim_node", *arguments({"bag_path": bag}))
+        time.sleep(moment)
+        status = node.end(number)
+        assert status in (0, 128 + number), node.errors
+        assert "Traceback" not in node.errors
+        if status == 0:
+            assert replay(bag).identical
+        else:
+            assert not bag.exists()
 
 
 def test_fast_dds_takes_the_settings_and_announces_the_node_more_often():

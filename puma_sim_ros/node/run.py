@@ -3,6 +3,7 @@
 
 import signal
 import sys
+from typing import Any, NoReturn
 
 from rclpy.exceptions import ParameterException
 
@@ -10,18 +11,26 @@ from puma_sim_core.errors import PumaSimError
 from puma_sim_ros.node.simulator_node import SimNode
 from puma_sim_ros.startup import ros_started
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+class _Stopped(BaseException):
+    """A signal came while nothing had to be finished yet."""
 
 
 def main(args: list[str] | None = None) -> int:
     """Entry point of ``sim_node``; returns the exit status: 2 where it does not start, 1 where it failed later."""
     stop: list[bool] = []
-    # Python's own handler could interrupt a record of the bag
-    for number in _SIGNALS:
-        signal.signal(number, lambda *_: stop.append(True))
+
+    def at_once(number: int, _frame: object) -> NoReturn:
+        _heed(signal.SIG_IGN)
+        raise _Stopped(number)
+
+    _heed(at_once)
     try:
         with ros_started(args):
             node = SimNode()
+            # from here on, Python's own handler could interrupt a record of the bag
+            _heed(lambda *_: stop.append(True))
+            node.open_bag()
             try:
                 return _run(node, stop)
             finally:
@@ -29,6 +38,14 @@ def main(args: list[str] | None = None) -> int:
     except (PumaSimError, ParameterException, OSError) as error:
         print(f"sim_node: {error}", file=sys.stderr)
         return 2
+    except _Stopped as stopped:
+        return 128 + stopped.args[0]
+
+
+def _heed(handler: Any) -> None:
+    """Use a handler for all signals that end the node."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, handler)
 
 
 def _run(node: SimNode, stop: list[bool]) -> int:
@@ -46,6 +63,5 @@ def _run(node: SimNode, stop: list[bool]) -> int:
             status = 1
         node.get_logger().info(node.summary())
         # a second Ctrl-C, or the one that ros2 launch sends on, would kill Python while it ends
-        for number in _SIGNALS:
-            signal.signal(number, signal.SIG_IGN)
+        _heed(signal.SIG_IGN)
     return status

@@ -53,7 +53,10 @@ _STEPS_AT_ONCE = 20
 
 
 class SimNode(Node):
-    """The node ``sim_node``; raises PumaSimError for a parameter or a bag that cannot be used."""
+    """The node ``sim_node``; raises PumaSimError for a parameter that cannot be used.
+
+    Between `open_bag` and `close` an interruption must wait.
+    """
 
     def __init__(self) -> None:
         super().__init__("sim_node", automatically_declare_parameters_from_overrides=True)
@@ -77,8 +80,6 @@ class SimNode(Node):
         self._health = Health(self.get_fully_qualified_name())
         path, frames = self._values["bag_path"], self._values["record_tf"]
         self._bag = NodeBag(path, self.get_namespace(), frames, self.get_logger().error)
-        self._bag.start(self._config, *self._describe.texts(self._config), self._session.state)
-
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self)
         self._pacer = Pacer(self._config.period_ns, self._values["real_time_factor"])
@@ -343,6 +344,10 @@ class SimNode(Node):
         return "paused" if self._paused else "running"
 
     # ---- the loop
+
+    def open_bag(self) -> None:
+        """Begin the bag, if there is to be one. Raises BagError."""
+        self._bag.start(self._config, *self._describe.texts(self._config), self._session.state)
 
     def run(self, stopped) -> None:
         """Run until `stopped()` is true. Raises BagError when the bag cannot be written on."""
