@@ -18,7 +18,7 @@ RUN apt-get update && rosdep update \
     && rm -rf /var/lib/apt/lists/*
 RUN python3 -m venv --system-site-packages .venv && touch .venv/COLCON_IGNORE \
     && source /opt/ros/jazzy/setup.bash && source .venv/bin/activate \
-    && pip install --no-cache-dir mcap rosbags numba viser \
+    && pip install --no-cache-dir mcap rosbags threadpoolctl numba viser \
     && python -m colcon build
 RUN printf '%s\n' '#!/bin/bash' 'source /ws/.venv/bin/activate' 'source /ws/install/setup.bash' 'exec "$@"' \
         > /entrypoint.sh && chmod +x /entrypoint.sh

@@ -75,11 +75,12 @@ setup(
         "jinja2>=3.1",
         "matplotlib>=3.6",
         "rich>=12",
+        "threadpoolctl>=3",
     ],
     extras_require={
         "fast": ["numba"],
         # jobs on a cluster: --scheduler
-        "cluster": ["dask[distributed]", "threadpoolctl"],
+        "cluster": ["dask[distributed]"],
         # pages in the browser; viser carries its own client, so that no network is needed
         "view": ["viser>=1.1,<2"],
         # shells complete the command line
@@ -100,7 +101,6 @@ setup(
             "mujoco>=3.7",
             "pin",
             "dask[distributed]",
-            "threadpoolctl",
             "viser>=1.1,<2",
             "catkin-pkg",
             "setuptools>=64",

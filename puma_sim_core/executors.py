@@ -20,7 +20,7 @@ import threading
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing.connection import Connection
@@ -28,6 +28,11 @@ from queue import Empty, SimpleQueue
 from typing import Any, NamedTuple, TypeVar
 
 from puma_sim_core.errors import ParameterError, PumaSimError
+
+try:
+    from threadpoolctl import threadpool_limits
+except ImportError:  # no package of Ubuntu's that rosdep knows: there it is slower, and no more
+    threadpool_limits = None
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -167,12 +172,19 @@ def _line(error: BaseException) -> str:
 def _limit_threads() -> None:
     """One thread for linear algebra and, where nobody has said how many, one for runs of the model."""
     os.environ.setdefault(THREADS, "1")
-    if any(os.environ.get(name) != "1" for name in _LIBRARIES[:3]):
-        try:
-            import threadpoolctl  # noqa: PLC0415  (of the extra `cluster`; our own processes do without)
-        except ImportError:
-            return
-        threadpoolctl.threadpool_limits(1)
+    if threadpool_limits is not None and any(os.environ.get(name) != "1" for name in _LIBRARIES[:3]):
+        threadpool_limits(1)
+
+
+@contextmanager
+def one_thread_of_algebra() -> Iterator[None]:
+    """One thread for linear algebra, in this process, until the end of the block.
+
+    The matrices of an explanation are small: on several threads the libraries spend more time waiting for each other
+    than they save, and their sums depend on how many there are. Runs of the model are shared among `threads`.
+    """
+    with nullcontext() if threadpool_limits is None else threadpool_limits(1, user_api="blas"):
+        yield
 
 
 # -- where jobs run -------------------------------------------------------------------------------

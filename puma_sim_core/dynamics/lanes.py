@@ -8,11 +8,13 @@ for angles up to 1e5 rad, so that a run in a lane agrees with the same run alone
 bit for bit. What a lane gives does not depend on its neighbours.
 """
 
+from collections.abc import Callable
 from math import floor
+from typing import Any
 
 from puma_sim_core.dynamics.laws import UNBENT
 from puma_sim_core.dynamics.rigid import build_arm
-from puma_sim_core.dynamics.types import FREE, NO_SLIP, Model
+from puma_sim_core.dynamics.types import FREE, NO_SLIP, Model, Rows
 from puma_sim_core.jit import Table, Vec, compiled, inlined, written
 
 #: runs side by side: two registers of AVX2, one of AVX-512
@@ -26,38 +28,50 @@ _P1, _P2, _P3 = 1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-2
 
 
 @inlined
-def polynomial_sin_cos(x: Table) -> tuple[Table, Table]:
-    """Sine and cosine, free of branches.
+def one_of_two(first: bool, a: float, b: float) -> float:
+    """The first of two numbers, or the second."""
+    return a if first else b
+
+
+def build_trigonometry(
+    floor: Callable[..., Any], one_of_two: Callable[..., Any]
+) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """Sine and cosine by polynomials, free of branches where the two functions are, and what is made of them in place
+    of `rigid.library_trigonometry`.
 
     The coefficients interpolate (sin r / r - 1) / z and (cos r - 1 + z/2) / z^2 at the Chebyshev
     points of z = r^2 in [0, (pi/4)^2]; relative errors 1.3e-17 and 5e-19 before rounding.
     """
-    n = floor(x * _TWO_OVER_PI + 0.5)
-    r = ((x - n * _P1) - n * _P2) - n * _P3
-    z = r * r
-    s = z * (2.7557316101617874e-06 + z * (-2.505113165023518e-08 + z * 1.5918115263265974e-10))
-    s = -0.16666666666666666 + z * (0.008333333333330948 + z * (-0.00019841269836756774 + s))
-    s = r + r * z * s
-    c = z * (-2.7557317271145144e-07 + z * (2.087614614655861e-09 - z * 1.1382623647474604e-11))
-    c = -0.0013888888888887398 + z * (2.480158729876456e-05 + c)
-    c = 1.0 - (0.5 * z - z * z * (0.041666666666666664 + z * c))
-    quarter = n - 4.0 * floor(0.25 * n)
-    odd = quarter == 1.0 or quarter == 3.0
-    sine = c if odd else s
-    cosine = s if odd else c
-    sine = -sine if quarter >= 2.0 else sine
-    cosine = -cosine if quarter == 1.0 or quarter == 2.0 else cosine
-    return sine, cosine
+
+    @inlined
+    def polynomial_sin_cos(x: Table) -> tuple[Table, Table]:
+        n = floor(x * _TWO_OVER_PI + 0.5)
+        r = ((x - n * _P1) - n * _P2) - n * _P3
+        z = r * r
+        s = z * (2.7557316101617874e-06 + z * (-2.505113165023518e-08 + z * 1.5918115263265974e-10))
+        s = -0.16666666666666666 + z * (0.008333333333330948 + z * (-0.00019841269836756774 + s))
+        s = r + r * z * s
+        c = z * (-2.7557317271145144e-07 + z * (2.087614614655861e-09 - z * 1.1382623647474604e-11))
+        c = -0.0013888888888887398 + z * (2.480158729876456e-05 + c)
+        c = 1.0 - (0.5 * z - z * z * (0.041666666666666664 + z * c))
+        quarter = n - 4.0 * floor(0.25 * n)
+        odd = abs(abs(quarter - 2.0) - 1.0) < 0.5  # 1 or 3
+        sine = one_of_two(odd, c, s)
+        cosine = one_of_two(odd, s, c)
+        sine = one_of_two(quarter >= 2.0, -sine, sine)
+        cosine = one_of_two(abs(quarter - 1.5) < 1.0, -cosine, cosine)  # 1 or 2
+        return sine, cosine
+
+    @inlined
+    def trigonometry(q2: Table, q3: Table) -> Vec:
+        s2, c2 = polynomial_sin_cos(q2)
+        su, cu = polynomial_sin_cos(q2 + q3)
+        return s2, c2, su, cu
+
+    return polynomial_sin_cos, trigonometry
 
 
-@inlined
-def polynomial_trigonometry(q2: Table, q3: Table) -> Vec:
-    """(sin q2, cos q2, sin(q2 + q3), cos(q2 + q3)); see `rigid.library_trigonometry`."""
-    s2, c2 = polynomial_sin_cos(q2)
-    su, cu = polynomial_sin_cos(q2 + q3)
-    return s2, c2, su, cu
-
-
+polynomial_sin_cos, polynomial_trigonometry = build_trigonometry(floor, one_of_two)
 _, lane_step = build_arm(polynomial_trigonometry)
 
 
@@ -100,3 +114,27 @@ def run_lanes(a: Table, volts: Table, which: Table, counts: Table, steps: Table,
         for m in range(LANES):
             for k in range(9):
                 out[m, r + 1, k] = a[k * LANES + m]
+
+
+@compiled
+def follow_lanes(a: Table, rows: Rows, measured: Table, corrected: Table, gain: Table, p: Table, out: Table) -> None:
+    """One group of LANES runs that follow a measured motion (`simulation.tracking`), without effects or constraints.
+
+    a : as `run_lanes`, moved on; rows : terminal voltages and steps; measured (n, 3) [rad], at the ends of the rows;
+    corrected (n,), gain (9,) as for `tracking.Track`; out (LANES, n, 3): the innovations [rad].
+    """
+    for r in range(len(rows.count)):
+        for m in range(LANES):
+            for k in range(3):
+                a[(9 + k) * LANES + m] = rows.voltage[r][k]
+        for _ in range(rows.count[r]):
+            step_lanes(a, rows.step[r], p)
+        for j in range(3):
+            for m in range(LANES):
+                out[m, r, j] = measured[r][j] - a[j * LANES + m]
+            if corrected[r]:
+                for m in range(LANES):
+                    e = out[m, r, j]
+                    a[j * LANES + m] += gain[3 * j] * e
+                    a[(3 + j) * LANES + m] += gain[3 * j + 1] * e
+                    a[(6 + j) * LANES + m] += gain[3 * j + 2] * e

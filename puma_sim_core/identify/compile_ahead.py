@@ -24,6 +24,7 @@ from puma_sim_core.plant.mechanism_file import load_mechanism
 from puma_sim_core.plant.plant import Plant
 from puma_sim_core.simulation.session import Session
 from puma_sim_core.simulation.session_config import COMMAND_INTERFACES, SessionConfig
+from puma_sim_core.simulation.side_by_side import innovations_side_by_side
 from puma_sim_core.simulation.simulator import Simulator
 from puma_sim_core.simulation.tracking import innovations
 
@@ -60,9 +61,12 @@ def _identified() -> None:
     for texts in ((), (_DRY,), (_SOFT,)):
         plant = mechanism.plant(theta, [parse_effect(text) for text in texts])
         rows = slice(0, 4)
-        innovations(Simulator(plant), time[rows], voltage[rows], position[rows], np.zeros((3, 3)))
+        followed = time[rows], voltage[rows], position[rows], np.zeros((3, 3))
+        innovations(Simulator(plant), *followed)
         if texts:
             known_voltage(mechanism.of_plant(plant), theta, signals)
+        else:
+            innovations_side_by_side([Simulator(plant)], *followed)
 
 
 #: part -> what to run of it

@@ -12,6 +12,7 @@ import numpy as np
 
 from puma_sim_core import __version__
 from puma_sim_core.errors import RecordingError
+from puma_sim_core.executors import one_thread_of_algebra
 from puma_sim_core.identify.agreement import agreement as compare
 from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.checks import feedback
@@ -50,6 +51,7 @@ _NOT_HELD_OUT = "Held-out logs are not read where the two sides of transmissions
 Logs = str | os.PathLike[str] | Log | Iterable[str | os.PathLike[str] | Log]
 
 
+@one_thread_of_algebra()
 def explain(
     logs: Logs,
     *,

@@ -8,6 +8,7 @@ The innovations of a true model are white and independent of the past, with feed
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -150,10 +151,7 @@ class PredictionFit:
         raw = self._raw(point)
         if raw is None:
             raise _cannot_be_run()
-        if by_parameters is None:
-            columns = parallel_map(lambda k: self._by_parameter(point, raw, k), range(len(point.theta)))
-        else:
-            columns = list(np.moveaxis(by_parameters, 2, 0))
+        columns = self._by_parameters(point, raw) if by_parameters is None else list(np.moveaxis(by_parameters, 2, 0))
         columns += parallel_map(lambda pair: self._by_effect(point, raw, *pair), pairs)
         return np.stack(columns, axis=2) if columns else np.zeros((*raw.shape, 0))
 
@@ -167,11 +165,20 @@ class PredictionFit:
         except (NonFiniteStateError, ParameterError):
             return None
 
-    def _by_parameter(self, point: Point, raw: Floats, number: int) -> Floats:
-        theta = point.theta.copy()
-        theta[number] += FITTING.difference * self.mechanism.deviations[number]
-        moved = self._raw(Point(theta, point.effects))
-        return np.zeros_like(raw) if moved is None else (moved - raw) / FITTING.difference
+    def _by_parameters(self, point: Point, raw: Floats) -> list[Floats]:
+        """(N, J) derivatives by each of the mechanism's parameters, side by side where the kernel has lanes for it."""
+        moved = [
+            Point(point.theta + step, point.effects) for step in np.diag(FITTING.difference * self.mechanism.deviations)
+        ]
+        # with the model itself in a lane too, what lanes differ by falls out of the differences
+        lanes = None
+        with suppress(ParameterError):
+            lanes = self.predictor.errors_of(at.plant(self.mechanism) for at in (point, *moved))
+        if lanes is not None and lanes[0] is not None:
+            raw, after = lanes[0], lanes[1:]
+        else:
+            after = parallel_map(self._raw, moved)
+        return [np.zeros_like(raw) if one is None else (one - raw) / FITTING.difference for one in after]
 
     def _by_effect(self, point: Point, raw: Floats, number: int, name: str) -> Floats:
         effect = point.effects[number]

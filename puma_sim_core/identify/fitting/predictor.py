@@ -7,9 +7,10 @@ Identification, chapter 13). `prediction` fits models to them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 from scipy import fft
@@ -20,10 +21,12 @@ from puma_sim_core.identify.arrays import Bools, Floats, log_rows
 from puma_sim_core.identify.data import filters
 from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.noise.weighting import Weighting, folded_response
+from puma_sim_core.identify.parallel import parallel_map
 from puma_sim_core.identify.remembered import Remembered
 from puma_sim_core.identify.settings import FITTING
 from puma_sim_core.plant.mechanism import Mechanism
 from puma_sim_core.plant.plant import Plant
+from puma_sim_core.simulation.side_by_side import TOGETHER, goes_side_by_side, innovations_side_by_side
 from puma_sim_core.simulation.simulator import Simulator
 from puma_sim_core.simulation.tracking import Tracked, innovations
 from puma_sim_core.simulation.windows import driven_current, local_motion, true_start
@@ -182,15 +185,37 @@ class Predictor:
         """
         parts = []
         for number, s in enumerate(self.stretches):
-            simulator = Simulator(plant, max_step=stable_step(plant, FITTING.greatest_step_time))
-            position, velocity = true_start(plant, *s.motion)
-            current = driven_current(plant, s.time, s.voltage, 0, velocity, s.motion[2])
-            if s.enable is not None:
-                current = np.where(s.enable[0] != 0.0, current, 0.0)
-            simulator.reset(position, velocity, current, time=float(s.time[0]))
             own = None if corrected is None else corrected[number]
-            parts.append(innovations(simulator, s.time, s.voltage, s.position, self.gain, s.enable, own))
+            parts.append(innovations(_started(plant, s), s.time, s.voltage, s.position, self.gain, s.enable, own))
         return parts
+
+    def errors_of(self, plants: Iterable[Plant]) -> list[Floats | None] | None:
+        """`errors` of several plants at once, but for the last bits; None for one whose state is not finite.
+
+        None as a whole, after a look at the first ones, where they cannot run side by side.
+        """
+        if any(s.enable is not None for s in self.stretches):
+            return None
+        kept = list[Plant]()
+        for plant in plants:
+            if not goes_side_by_side(plant):
+                return None
+            kept.append(plant)
+        started = [[_started(plant, s) for plant in kept] for s in self.stretches]
+        if len({simulator.max_step for simulator in started[0]}) != 1:
+            return None
+        logs = [self._side_by_side(s, simulators) for s, simulators in zip(self.stretches, started)]
+        return [
+            np.concatenate(parts) if all(np.isfinite(part).all() for part in parts) else None for parts in zip(*logs)
+        ]
+
+    def _side_by_side(self, s: Stretch, simulators: Sequence[Simulator]) -> list[Floats]:
+        """Innovations (n - 1, J) of one log by several simulators."""
+        groups = [simulators[n : n + TOGETHER] for n in range(0, len(simulators), TOGETHER)]
+        done = parallel_map(
+            lambda group: innovations_side_by_side(group, s.time, s.voltage, s.position, self.gain), groups
+        )
+        return list(chain.from_iterable(done))
 
     def in_volts(self, errors: Floats, cutoff: float) -> Floats:
         """(N, J) voltages [V] that the model lacks by its innovations (N, J), up to `cutoff` [Hz]: the predictor's
@@ -305,6 +330,18 @@ class Predictor:
             spread = FITTING.least_median_share * float(np.std(change)) / np.sqrt(2.0)
             scale[j] = max(scale[j], spread, self.least[j] * float(np.linalg.norm(response)), 1e-15)
         return Weighting(np.ones((len(scale), 1)), scale, self.lengths, self.settling)
+
+
+def _started(plant: Plant, stretch: Stretch) -> Simulator:
+    """A simulator at the first row of a log."""
+    s = stretch
+    simulator = Simulator(plant, max_step=stable_step(plant, FITTING.greatest_step_time))
+    position, velocity = true_start(plant, *s.motion)
+    current = driven_current(plant, s.time, s.voltage, 0, velocity, s.motion[2])
+    if s.enable is not None:
+        current = np.where(s.enable[0] != 0.0, current, 0.0)
+    simulator.reset(position, velocity, current, time=float(s.time[0]))
+    return simulator
 
 
 def _steady_gain(F: Floats, G: Floats, volts: float, noise: float) -> tuple[Floats, float]:

@@ -1,0 +1,129 @@
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
+"""Models that follow a measured motion side by side: as each alone, with the same bits on both kernels."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from puma_sim_core.dynamics.lanes import LANES
+from puma_sim_core.effects import parse_effect
+from puma_sim_core.executors import one_thread_of_algebra
+from puma_sim_core.identify.data.log import Log
+from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
+from puma_sim_core.identify.fitting.predictor import Predictor
+from puma_sim_core.identify.settings import FITTING
+from puma_sim_core.plant.mechanism_file import load_mechanism
+from puma_sim_core.simulation.side_by_side import goes_side_by_side, innovations_side_by_side
+from puma_sim_core.simulation.simulator import Simulator
+from puma_sim_core.simulation.tracking import innovations
+
+ROOT = Path(__file__).resolve().parent.parent
+ARM = load_mechanism()
+TIME = np.arange(0.0, 0.3, 1.5e-3)
+VOLTS = 6.0 * np.sin(TIME[:, None] * [4.0, 5.0, 7.0] + [0.3, 2.0, 0.1])
+GAIN = np.array([[0.3, 12.0, 0.4], [0.2, 9.0, 0.1], [0.4, 15.0, 0.2]])
+
+
+def measured() -> np.ndarray:
+    """Positions (n, 3) of an arm that none of the models is."""
+    simulator = Simulator(ARM.plant(ARM.start * 1.02))
+    simulator.reset((0.1, -0.9, 1.1))
+    return simulator.run(TIME, VOLTS).position
+
+
+def started(count: int) -> list[Simulator]:
+    """Simulators of as many different arms."""
+    found = []
+    for n in range(count):
+        found.append(Simulator(ARM.plant(ARM.start * (1.0 + 0.003 * n))))
+        found[-1].reset((0.1, -0.9 - 0.01 * n, 1.1), (0.0, 0.1, 0.0), (0.2, 0.0, -0.1))
+    return found
+
+
+def digest() -> str:
+    """Of the innovations of five models side by side."""
+    found = innovations_side_by_side(started(5), TIME, VOLTS, measured(), GAIN)
+    return hashlib.sha256(np.array(found).tobytes()).hexdigest()
+
+
+@pytest.mark.parametrize("count", [1, 3, LANES])
+def test_each_model_has_the_innovations_that_it_has_alone(count):
+    positions = measured()
+    side_by_side = innovations_side_by_side(started(count), TIME, VOLTS, positions, GAIN)
+    assert len(side_by_side) == count
+    for simulator, found in zip(started(count), side_by_side):
+        alone = innovations(simulator, TIME, VOLTS, positions, GAIN).innovation
+        assert np.abs(alone).max() > 1e-5
+        np.testing.assert_allclose(found, alone, rtol=0.0, atol=1e-14)
+
+
+def test_both_kernels_give_the_same_bits():
+    run = "import sys; sys.path.insert(0, 'test'); from test_side_by_side import digest; print(digest())"
+    found = {
+        subprocess.check_output(
+            [sys.executable, "-c", run],
+            cwd=ROOT,
+            text=True,
+            env={**os.environ, "PUMA_SIM_KERNEL": kernel, "PYTHONPATH": str(ROOT)},
+        )
+        for kernel in ("auto", "python")
+    }
+    assert len(found) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "goes"),
+    [
+        ("payload:mass=1", True),
+        ("coulomb_friction:joint=2,torque=3", False),
+        ("voltage_dead_band:joint=1,voltage=0.5", False),
+        ("joint_elasticity:joint=2,stiffness=20000", False),
+    ],
+)
+def test_only_models_without_a_stage_of_their_own_go_side_by_side(text, goes):
+    assert goes_side_by_side(ARM.plant(ARM.start, (parse_effect(text),))) is goes
+
+
+def test_a_model_that_does_not_stay_finite_leaves_the_others_as_they_are():
+    positions, wild = measured(), started(3)
+    wild[1].reset((0.1, -0.9, 1.1), (1e200, 1e200, 1e200))
+    found = innovations_side_by_side(wild, TIME, VOLTS, positions, GAIN)
+    alone = innovations_side_by_side(started(3), TIME, VOLTS, positions, GAIN)
+    assert not np.isfinite(found[1]).all()
+    np.testing.assert_array_equal(found[0], alone[0])
+    np.testing.assert_array_equal(found[2], alone[2])
+
+
+@pytest.mark.parametrize("logs", [1, 2])
+def test_derivatives_side_by_side_are_differences_of_runs_alone(logs):
+    given = [Log(f"log {n}", TIME + n, VOLTS, measured()) for n in range(logs)]
+    predictor = Predictor(given, ARM, [lambda t: t > 1e9] * logs, np.full(3, 0.05), np.full(3, 3e-5))
+    point = Point(ARM.start * 1.01, ())
+    raw = predictor.errors(point.plant(ARM))
+    found = PredictionFit(predictor, predictor.unfiltered_weighting(raw)).derivatives(point, ())
+    assert found.shape == (*raw.shape, len(ARM.start))
+    for number in (0, 7, len(ARM.start) - 1):
+        theta = point.theta.copy()
+        theta[number] += FITTING.difference * ARM.deviations[number]
+        alone = (predictor.errors(Point(theta, ()).plant(ARM)) - raw) / FITTING.difference
+        assert np.abs(alone).max() > 0.0
+        np.testing.assert_allclose(found[:, :, number], alone, rtol=0.0, atol=1e-6 * np.abs(alone).max() + 1e-13)
+
+
+def test_linear_algebra_keeps_to_one_thread_and_gets_its_own_back():
+    def threads() -> list[int]:
+        return [library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"]
+
+    with threadpool_limits(2, user_api="blas"):
+        before = threads()
+        with one_thread_of_algebra():
+            assert set(threads()) == {1}
+        assert threads() == before
