@@ -145,7 +145,7 @@ def rotor_row(k: int, m: float, b: float, factor: float, torque: float, p: Table
     return m * factor * factor + rotor_inertia(p, k), b * factor + torque
 
 
-@outlined
+@inlined
 def link_system(x: Vec, s: Vec, v: Vec, model: Model, p: Table, slip: Vec, bend: Vec) -> tuple[Any, ...]:
     """M and b of the rows of the links, and the torques [N.m] that accelerate soft rotors.
 
