@@ -331,6 +331,10 @@ def test_what_more_of_makes_less_of_an_effect_is_not_too_much():
     # one size of two may be small, and what says where or how fast has none
     assert chooser.implausible(parse_effect("base_tilt:x=0.0001,y=0.03")) is None
     assert chooser.implausible(parse_effect("impulse:joint=1,torque=9,time=3,width=0.001")) is None
+    # a hand pushes as hard as it likes, but not for a row alone
+    assert chooser.implausible(parse_effect("impulse:joint=1,torque=2500,time=3,width=0.2")) is None
+    short = chooser.implausible(parse_effect("impulse:joint=1,torque=2500,time=3,width=0.001"))
+    assert "torque 2.5e+03, more than any machine has" in short
 
 
 def test_plausible_sizes_go_with_the_machine_and_a_bound_is_no_size():

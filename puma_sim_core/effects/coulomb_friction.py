@@ -35,6 +35,7 @@ EFFECT = Kind(
         coulomb,
         "At least six reversals of the joint, with motion at several speeds.",
         coordinates=lambda values, scale: np.array([level_prior(values["torque"], scale)]),
+        common=lambda torque: {"torque": torque},
     ),
     drawn_against=("velocity",),
     example="coulomb_friction:joint=2,torque=12",

@@ -7,7 +7,7 @@ import numpy as np
 
 from puma_sim_core.effects.base import PLACE, SIZE, TORQUE, Kind, Law, Parameter, Point
 from puma_sim_core.effects.screening import Candidate, Screening, Signals
-from puma_sim_core.effects.shared.columns import bounded, candidate, on_joint, sized, stretches
+from puma_sim_core.effects.shared.columns import candidate, on_joint, sized, stretches
 from puma_sim_core.jit import Table, inlined
 
 #: whole widths of an impact [s]
@@ -54,7 +54,7 @@ def impulse(signals: Signals, joint: int, residual: np.ndarray | None = None) ->
     if residual is None:
         return []
     scale, found = float(signals.torque_scale[joint]), []
-    values = sized("torque", bounded, "impact", "N.m", 40.0 * scale)
+    values = sized("torque", float)
     for width in (width for width in _WIDTHS if not width < 4.0 * signals.step):
         places, tried = _best_places(signals, residual[:, joint], float(signals.lag[joint]), width)
         for middle in places:
@@ -114,6 +114,7 @@ EFFECT = Kind(
         impulse,
         "None can show it again: an impact is not repeatable; repeat the motion to see that it is gone.",
         generous=0.03,
+        placed=True,
     ),
     drawn_against=("time",),
     example="impulse:joint=2,torque=40,time=1.5,width=0.05",

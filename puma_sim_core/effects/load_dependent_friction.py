@@ -87,6 +87,7 @@ EFFECT = Kind(
         load_dependent,
         "Reversals in many poses and at several accelerations, so that the torque that "
         "the gear bears differs between them.",
+        common=lambda torque: {"coefficient": 0.1, "transmitted": 1.0},
     ),
     drawn_against=("gravity_torque", "link_torque", "torque"),
     example="load_dependent_friction:joint=2,coefficient=0.1",

@@ -105,4 +105,9 @@ class Screening:
     usual: Callable[[float], dict[str, float]] | None = None
     #: (names of parameters, values, lowest and highest position of the log) -> those that the log tells of
     fitted: Callable[[list[str], Values, float, float], list[str]] | None = None
+    #: (nominal friction torque [N.m]) -> values from which it is tried where anything is missing, whatever screening
+    #: says: what all but every geared drive has; None: it is not
+    common: Callable[[float], dict[str, float]] | None = None
+    #: its candidates lie where a residual has them: that of the fitted model rather than of filtered motion
+    placed: bool = False
     fast: bool = False  #: its columns are made of accelerations or rates of voltage, which may be noise

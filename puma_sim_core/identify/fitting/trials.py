@@ -10,7 +10,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from puma_sim_core.effects import KINDS, Effect
+from puma_sim_core.effects import KINDS, Effect, Kind
 from puma_sim_core.effects.base import Parameter, Role
 from puma_sim_core.effects.screening import Illegal
 from puma_sim_core.errors import ParameterError
@@ -279,7 +279,7 @@ class Trials:
                 continue
             least, most = low * min(known), high * max(known)
             less = f"{_IMPOSSIBLE}: {name} {value:.3g}, less than any machine has ({least:.3g})"
-            if value > FITTING.above_plausible * most and not parameter.inverse:
+            if abs(value) > FITTING.above_plausible * most and not (parameter.inverse or _from_outside(effect)):
                 return f"{_IMPOSSIBLE}: {name} {value:.3g}, more than any machine has ({most:.3g})"
             if parameter.role is Role.RATE and value < least / FITTING.below_plausible:
                 return less
@@ -312,6 +312,18 @@ class Trials:
 def _is_fitted(parameter: Parameter) -> bool:
     """Whether a fit moves it: not what the construction gives, nor what the effect takes from its machine."""
     return parameter.role is Role.PLACE or (parameter.role is not Role.STRUCTURE and parameter.from_arm is None)
+
+
+def _from_outside(effect: Effect) -> bool:
+    """Whether no size of the machine bounds an effect: a push that lasts as long as a hand's may be ninety times the
+    friction of a joint. A shorter one of that size is a row that is wrong."""
+    places = [low <= effect.values[n] <= FITTING.above_plausible * high for n, low, high in _places(effect.kind)]
+    return not effect.kind.repeatable and all(places)
+
+
+def _places(kind: Kind) -> list[tuple[str, float, float]]:
+    """(name, low, high) of what says where or how long an effect acts, where that has plausible sizes."""
+    return [each for each in kind.plausible if kind.parameter(each[0]).role is Role.PLACE]
 
 
 def _fixed(scored: Scored) -> bool:

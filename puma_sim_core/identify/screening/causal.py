@@ -10,7 +10,7 @@ columns are averaged over blocks of rows that are short beside anything the colu
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
@@ -106,7 +106,10 @@ class CausalScreen:
             velocity=np.concatenate([t.velocity for t in tracked]),
             acceleration=np.concatenate(acceleration),
         )
-        return signals_of(m, self.point.theta, motion, s.velocity_noise, s.quantum)
+        signals = signals_of(m, self.point.theta, motion, s.velocity_noise, s.quantum)
+        left = p.in_volts(np.concatenate([t.innovation for t in tracked]), s.cutoffs[1])
+        # what is to be placed by it must not lie in rows that are not fitted to
+        return replace(signals, residual=np.where(self.fit.rows, left, 0.0))
 
     def columns(self, candidate: Candidate) -> Columns:
         """Joint -> (b, p) whitened innovations that unit coefficients would make, in blocks."""

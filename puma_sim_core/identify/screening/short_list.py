@@ -10,6 +10,7 @@ from collections.abc import Collection, Iterator, Mapping
 import numpy as np
 
 from puma_sim_core.effects import Kind
+from puma_sim_core.effects.base import Point as Place
 from puma_sim_core.effects.screening import Screening
 from puma_sim_core.identify.fitting.prediction import Point
 from puma_sim_core.identify.fitting.predictor import Predictor
@@ -18,6 +19,9 @@ from puma_sim_core.identify.screening.evidence import Bank, Key, Scored
 from puma_sim_core.identify.screening.hypotheses import hypotheses
 from puma_sim_core.identify.screening.search import Search
 from puma_sim_core.identify.settings import SCREENING
+
+#: where dry friction acts
+_DRY = frozenset({Place.LEVEL, Place.SPEED_LEVEL, Place.POSE_LEVEL})
 
 
 class ShortList:
@@ -34,10 +38,13 @@ class ShortList:
         slow, fast = self._slow(keys, point), self._fast(keys, causal)
         # a model of two masses a joint takes some ten times as long
         share = 2 if point.two_mass else 1
+        # where the filtered motion has a large residual at the start, the fitted model may have none
+        placed = {s.key: s for s in fast if _screening(self.library[s.name]).placed}
         short: dict[Key, Scored] = {}
         for scored in slow[: SCREENING.short_list_slow // share] + fast[: SCREENING.short_list_fast // share]:
-            short.setdefault(scored.key, scored)
+            short.setdefault(scored.key, placed.get(scored.key, scored))
         found = [*short.values(), *self._related([*short.values()], keys, causal)]
+        found += self._common(found, keys, causal)
         return [*found, *self._without_power({s.key for s in found} | set(keys), keys)]
 
     def _slow(self, keys: Collection[Key], point: Point) -> list[Scored]:
@@ -70,6 +77,27 @@ class ShortList:
                         taken.add(scored.key)
                         found.append(scored)
         return found
+
+    def _common(self, found: list[Scored], keys: Collection[Key], causal: CausalScreen) -> list[Scored]:
+        """Dry friction of joints where anything is missing and none is in the model.
+
+        Parameters, a delay or an elasticity may have taken it up, so that the screening about them sees nothing of it.
+        """
+        rubs = {joint for name, joint in keys if any(law.point in _DRY for law in self.library[name].laws)}
+        missing, every = {s.joint for s in found}, range(1, self.predictor.mechanism.joints + 1)
+        joints = [j for j in every if j not in rubs and (j in missing or None in missing)]
+        taken, more = {s.key for s in found} | set(keys), list[Scored]()
+        for kind in self.library.values():
+            start = _screening(kind).common
+            for joint in (j for j in joints if (kind.name, j) not in taken):
+                scored = None if start is None else causal.score(kind, joint)
+                # a joint that does not move has no candidates
+                if start is not None and scored is not None:
+                    values = start(float(self.predictor.mechanism.torque_scale[joint - 1]))
+                    occam = SCREENING.short_list_unseen_occam * len(values)
+                    blind = Scored(kind.name, joint, 0.0, values=values, occam=occam)
+                    more.append(blind if scored.values is None else scored)
+        return more
 
     def _without_power(self, taken: Collection[Key], keys: Collection[Key]) -> Iterator[Scored]:
         """At a joint far noisier than the others, effects that may be the noise: the screening has no power there."""
