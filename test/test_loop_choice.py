@@ -101,12 +101,19 @@ def test_a_free_curve_that_leaves_clearly_less_is_preferred_to_the_named_effects
     assert curve_preferred(curve, names, occam, remains) is wanted
 
 
+@pytest.mark.parametrize("scatter, wanted", [(1.0, "asymmetric_coulomb_friction"), (4.0, "coulomb_friction")])
+def test_a_simpler_effect_may_be_worse_by_what_the_model_misfits(scatter, wanted):
+    richer, plain = trial(("asymmetric_coulomb_friction", 2), 100.0), trial(("coulomb_friction", 2), 95.0)
+    found = Selection._parsimonious(SimpleNamespace(library=KINDS), richer, [richer, plain], scatter)
+    assert found.name == wanted
+
+
 @pytest.mark.parametrize("limit, wanted", [(97.5, "current_limit"), (96.0, "impulse")])
 def test_a_limit_that_was_met_once_goes_before_a_blow(limit, wanted):
     chooser = SimpleNamespace(library=KINDS)
     blow, other = trial(("impulse", 2), 100.0), trial(("current_limit", 2), limit)
     elsewhere = trial(("current_limit", 1), 99.9)
-    found = Selection._parsimonious(chooser, blow, [blow, other, elsewhere])
+    found = Selection._parsimonious(chooser, blow, [blow, other, elsewhere], 1.0)
     assert found.key == (wanted, 2)
 
 
@@ -124,7 +131,7 @@ def test_a_limit_that_was_met_once_goes_before_a_blow(limit, wanted):
 def test_of_kinds_that_contain_each_other_the_simpler_goes_first(name, simpler, price, gain, wanted):
     richer, plain = trial((name, 2), gain, price), trial((simpler, 2), 100.0, 6.0)
     best = max(richer, plain, key=lambda t: t.gain)
-    found = Selection._parsimonious(SimpleNamespace(library=KINDS), best, [richer, plain])
+    found = Selection._parsimonious(SimpleNamespace(library=KINDS), best, [richer, plain], 1.0)
     assert found.name == wanted
 
 
@@ -133,7 +140,7 @@ def test_a_bristle_as_stiff_as_it_may_be_is_none(stiffness, wanted):
     bristle = parse_effect(f"presliding_friction:joint=2,torque=8,stiffness={stiffness}")
     stiff = replace(trial(("presliding_friction", 2), 120.0, 8.0), fitted=fitted(bristle))
     plain = trial(("coulomb_friction", 2), 100.0, 6.0)
-    found = Selection._parsimonious(SimpleNamespace(library=KINDS), stiff, [stiff, plain])
+    found = Selection._parsimonious(SimpleNamespace(library=KINDS), stiff, [stiff, plain], 1.0)
     assert found.name == wanted
 
 

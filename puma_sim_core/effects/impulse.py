@@ -7,11 +7,13 @@ import numpy as np
 
 from puma_sim_core.effects.base import PLACE, SIZE, TORQUE, Kind, Law, Parameter, Point
 from puma_sim_core.effects.screening import Candidate, Screening, Signals
-from puma_sim_core.effects.shared.columns import candidate, on_joint, sized, stretches
+from puma_sim_core.effects.shared.columns import bounded, candidate, on_joint, sized, stretches
 from puma_sim_core.jit import Table, inlined
 
 #: whole widths of an impact [s]
 _WIDTHS = (0.02, 0.03, 0.045, 0.065, 0.1, 0.15)
+#: greatest torque [N.m] that the law takes: what comes from outside is bounded by nothing of the machine
+_GREATEST = 1e4
 #: best places that are kept of each width
 _PLACES = 3
 
@@ -54,7 +56,7 @@ def impulse(signals: Signals, joint: int, residual: np.ndarray | None = None) ->
     if residual is None:
         return []
     scale, found = float(signals.torque_scale[joint]), []
-    values = sized("torque", float)
+    values = sized("torque", bounded, "impact", "N.m", _GREATEST)
     for width in (width for width in _WIDTHS if not width < 4.0 * signals.step):
         places, tried = _best_places(signals, residual[:, joint], float(signals.lag[joint]), width)
         for middle in places:
@@ -104,7 +106,7 @@ EFFECT = Kind(
     equation="tau = -p sin(pi (t - t0 + w/2) / w)^2 while |t - t0| < w/2",
     sentence="An impact or a push of short duration that no command in the log causes.",
     parameters=(
-        Parameter("torque", "N.m", -1e4, 1e4, "p, peak, positive in +q", SIZE, (5.0, 300.0)),
+        Parameter("torque", "N.m", -_GREATEST, _GREATEST, "p, peak, positive in +q", SIZE, (5.0, 300.0)),
         Parameter("time", "s", -1e6, 1e9, "t0, middle of the pulse", PLACE, step="width"),
         Parameter("width", "s", 1e-4, 100.0, "w, whole width", PLACE, (0.02, 0.15), neutral=1.0, logarithmic=True),
     ),
