@@ -15,11 +15,13 @@ from puma_sim_core.identify.checks.wrong_zero import wrong_zeros
 from puma_sim_core.identify.explain import retracted
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
 from puma_sim_core.identify.fitting.trials import Trial, Trials, tied
-from puma_sim_core.identify.residuals.unnamed import curve_preferred
+from puma_sim_core.identify.residuals.unnamed import Explained, curve_preferred
 from puma_sim_core.identify.screening.evidence import Scored
 from puma_sim_core.identify.selection.elimination import Elimination
-from puma_sim_core.identify.selection.selection import Selection, in_both, noise_refused
+from puma_sim_core.identify.selection.noise_choice import noise_refused, squares_of_pieces
+from puma_sim_core.identify.selection.selection import Selection, in_both
 from puma_sim_core.identify.selection.state import Chosen, SelectionState, Stage
+from puma_sim_core.identify.settings import SELECTION
 from puma_sim_core.plant.mechanism_file import load_mechanism
 
 A, B = ("coulomb_friction", 1), ("impulse", 2)
@@ -83,22 +85,41 @@ def test_without_a_lower_error_there_is_no_name():
     assert confirmed(errors(1.0, 1.0, 1.1, 1.2), trial(A, 90.0), trial(B, 30.0)) == ((), (B, A))
 
 
+PIECES = np.random.default_rng(8).normal(0.0, 1.0, 30)
+
+
+def explained(cost, spread=0.0):
+    """An explanation of a cost [nat] whose pieces scatter so much about their mean."""
+    return Explained(cost, cost / 30.0 + spread * (PIECES - PIECES.mean()))
+
+
 @pytest.mark.parametrize(
-    "curve, names, occam, remains, wanted",
+    "curve, names, both, wanted",
     [
-        # what is left has a shape: names are inexact, and replaced by what is clearly better
-        (8900.0, 10000.0, 30.0, True, True),
-        (9300.0, 10000.0, 30.0, True, False),
-        # nothing seems to be left, but a curve leaves less than these names of a joint's noise
-        (9800.0, 10000.0, 30.0, False, True),
-        (9900.0, 10000.0, 30.0, False, False),
-        # less by no more than its heights make of chance
-        (9800.0, 10000.0, 90.0, False, False),
-        (980.0, 1000.0, 5.0, False, False),
+        # names that a curve takes over whole add nothing to it
+        (explained(800.0), explained(1000.0), explained(803.0), True),
+        # a curve that is better, but beside which they still explain something
+        (explained(800.0), explained(1000.0), explained(700.0), False),
+        # no better than the names, by its heights' Occam factor or by chance
+        (explained(1010.0), explained(1000.0), explained(990.0), False),
+        (explained(990.0), explained(1000.0), explained(995.0), False),
+        (explained(970.0, 8.0), explained(1000.0), explained(975.0, 8.0), False),
+        # what they add may be chance as well
+        (explained(800.0), explained(1000.0), explained(790.0, 2.0), True),
     ],
 )
-def test_a_free_curve_that_leaves_clearly_less_is_preferred_to_the_named_effects(curve, names, occam, remains, wanted):
-    assert curve_preferred(curve, names, occam, remains) is wanted
+def test_names_fall_only_where_a_better_curve_takes_over_what_they_explain(curve, names, both, wanted):
+    assert curve_preferred(curve, names, both) is wanted
+
+
+def test_a_difference_counts_beyond_two_standard_errors_of_a_sum():
+    rng = np.random.default_rng(4)
+    # of sums of 40 values with deviation 3 about a true difference of zero, 2.3 % are beyond 2 standard errors
+    found = 0
+    for _ in range(2000):
+        difference = rng.normal(0.0, 3.0, 40)
+        found += Explained(0.0, np.zeros(40)).better(Explained(float(difference.sum()), difference))
+    assert 0.014 < found / 2000 < 0.04
 
 
 @pytest.mark.parametrize("scatter, wanted", [(1.0, "asymmetric_coulomb_friction"), (4.0, "coulomb_friction")])
@@ -182,6 +203,15 @@ def test_an_effect_that_replaced_another_has_a_gain_of_its_own():
     assert state.chosen[0].stage is history[1] and state.chosen[0].trial == second
 
 
+@pytest.mark.parametrize("angle, refused", [(-0.99, True), (0.99, True), (-0.03, False)])
+def test_a_sensor_is_off_by_as_much_to_either_side(angle, refused):
+    arm = load_mechanism()
+    sampled = SimpleNamespace(joints=3, position=np.zeros((2, 3)), quantum=np.full(3, 1e-4))
+    problem = SimpleNamespace(mechanism=arm, sampled=sampled)
+    found = Trials(None, problem).implausible(parse_effect(f"encoder_offset:joint=3,angle={angle}"))
+    assert bool(found) is refused
+
+
 @pytest.mark.parametrize("period, refused", [(12.0, False), (20.0, True)])
 def test_a_wave_is_no_longer_than_its_joint_can_go(period, refused):
     pendulum = load_mechanism("pendulum")
@@ -195,15 +225,36 @@ def test_a_wave_is_no_longer_than_its_joint_can_go(period, refused):
 @pytest.mark.parametrize(
     "before, after, wanted",
     [
-        ([0.9, 1.0, 1.0], [1.0, 1.0, 1.0], True),
+        ([1.0, 1.0, 1.0], [1.1, 1.0, 1.0], True),
         ([1.0, 1.0, 1.0], [1.0, 1.0, 1.0], False),
         # a joint far noisier than the others counts as one of three
-        ([1.05, 1.05, 95.0], [1.0, 1.0, 100.0], False),
+        ([1.0, 1.0, 95.0], [0.95, 0.95, 100.0], False),
+        # a share that decides nothing
+        ([1.0, 1.0, 1.0], [1.02, 1.02, 1.02], False),
         ([0.0, 0.0], [0.0, 0.0], False),
     ],
 )
 def test_a_noise_is_refused_where_the_joints_speak_against_it(before, after, wanted):
-    assert noise_refused(np.array(before), np.array(after)) is wanted
+    assert noise_refused(np.tile(before, (6, 1)), np.tile(after, (6, 1))) is wanted
+
+
+def test_a_noise_is_not_refused_by_chance():
+    rng, refused = np.random.default_rng(2), 0
+    for _ in range(1000):
+        before = rng.chisquare(10.0, (6, 3)) / 10.0
+        refused += noise_refused(before, before + rng.normal(0.0, 0.3, (6, 3)))
+    assert refused < 50  # 2.5 % by Student's t
+    before = rng.chisquare(10.0, (6, 3)) / 10.0
+    assert noise_refused(before, 2.0 * before)
+
+
+def test_pieces_of_the_rows_that_count_are_squared_by_themselves():
+    volts, rows = np.arange(1.0, 21.0)[:, None] * [1.0, 2.0], np.zeros(20, dtype=bool)
+    rows[2:12] = rows[15:18] = True
+    found = squares_of_pieces(volts, rows, step=SELECTION.noise_piece / 5.0)
+    assert found[:, 0].tolist() == [27.0, 102.0, np.mean(np.square([16.0, 17.0, 18.0]))]
+    assert np.array_equal(found[:, 1], 4.0 * found[:, 0])
+    assert squares_of_pieces(volts, ~rows & False, 1e-3).shape == (0, 2)
 
 
 @pytest.mark.parametrize(

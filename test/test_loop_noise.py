@@ -85,6 +85,19 @@ def test_a_line_is_not_taken_for_noise(predictor):
     assert abs(wave @ with_line(line)[:, 1]) > 10.0
 
 
+def test_slow_noise_that_a_fit_took_up_is_still_expected(predictor):
+    n = predictor.lengths[0]
+    modes = np.cos(np.pi / n * np.outer(np.arange(n) + 0.5, np.arange(20)))
+    modes /= np.linalg.norm(modes, axis=0)  # a half to 10 periods in 10 s: slower than 1 Hz
+    found = []
+    for seed in range(40, 120, 10):
+        errors = np.column_stack([lasting(predictor, j, seed + j, time=0.0265, volts=0.04) for j in range(3)])
+        white = innovations.weighting(predictor, errors - modes @ (modes.T @ errors))(errors)
+        found.append(((modes[:, 1:].T @ white) ** 2).mean(axis=0))
+    # of white noise each is about 1; humps that go to zero at rest leave 8 on average, and 83 once
+    assert np.mean(found) < 3.0 and np.max(found) < 10.0
+
+
 def test_what_was_filtered_before_is_undone(predictor):
     errors = np.column_stack([lasting(predictor, j, 30 + j) for j in range(3)])
     before = Weighting(np.array([[1.0, -0.6]] * 3), np.array([2e-5] * 3), predictor.lengths)

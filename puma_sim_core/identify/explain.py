@@ -30,7 +30,7 @@ from puma_sim_core.identify.outcome import Findings, compose, fault_sentence
 from puma_sim_core.identify.prepare import Prepared, prepare, silent
 from puma_sim_core.identify.report.json import report_mapping
 from puma_sim_core.identify.residuals.shape import Curve
-from puma_sim_core.identify.residuals.unnamed import Unnamed, remainder
+from puma_sim_core.identify.residuals.unnamed import Unnamed
 from puma_sim_core.identify.result import DATA_FAULT, Agreement, Detectable, Errors, Explanation, Fault, FeedbackBias
 from puma_sim_core.identify.screening.causal import CausalScreen
 from puma_sim_core.identify.screening.detect import detectable
@@ -39,7 +39,6 @@ from puma_sim_core.identify.screening.short_list import ShortList
 from puma_sim_core.identify.selection.cross_validation import CrossValidation
 from puma_sim_core.identify.selection.selection import Selection
 from puma_sim_core.identify.selection.state import SelectionState
-from puma_sim_core.identify.selection.validate import rms
 from puma_sim_core.identify.settings import CHECKS
 from puma_sim_core.identify.standing import NAMED, TIED, standings
 from puma_sim_core.jit import is_compiled
@@ -248,10 +247,9 @@ class Stages:
         if state.chosen:
             bare = self.selection.without(state, *state.keys)
             joints = {joint for _, joint in state.keys if joint is not None}
-            left = rms(self._volts(state.model.point), self.predictor.fit_rows) / self._floor(state)
-            remains = remainder(state, curves, chance, left) is not None
             everywhere = any(joint is None for _, joint in state.keys)
-            if unnamed.preferred(bare.model, state.model, None if everywhere else joints, remains):
+            occam = sum(chosen.occam for chosen in state.chosen)
+            if unnamed.preferred(bare.model, state.model, occam, None if everywhere else joints):
                 return bare, *unnamed.shapes(bare.model)
         return state, curves, chance
 

@@ -64,6 +64,12 @@ class Trial:
         return self.fitted is not None and self.problem is None
 
     @property
+    def explains(self) -> bool:
+        """Whether it was fitted and may be what the log has: an effect, or a wrong zero of any size, which is a fault
+        of the data."""
+        return self.fitted is not None and (self.problem is None or self.effect.kind.shifts_zero)
+
+    @property
     def effect(self) -> Effect:
         """The effect as fitted."""
         return self.model.point.effects[-1]

@@ -73,7 +73,9 @@ def _sources(predictor: Predictor, j: int, frequency: Floats) -> Floats:
         parts.append(volts * (1.0 - decay**2) / np.abs(1.0 - decay * np.exp(-2j * np.pi * frequency * step)) ** 2)
     for centre in NOISE.spectrum_humps:
         if centre * step < NOISE.spectrum_highest_hump:
-            away = frequency / centre - centre / np.maximum(frequency, 1e-3 * centre)
+            # no segment resolves what is slower: a hump that went to zero there would leave slow errors without noise
+            resolved = np.maximum(frequency, NOISE.spectrum_resolved / NOISE.spectrum_longest)
+            away = resolved / centre - centre / resolved
             parts.append(volts / (1.0 + (NOISE.spectrum_quality * away) ** 2))
     # each of a unit's variance, so that weights are of one size
     spectra: Floats = np.array(parts)

@@ -4,11 +4,14 @@
 What is missing may have stretched parameters: curves are fitted about those beside the best curve.
 """
 
+from __future__ import annotations
+
 from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from puma_sim_core.identify.arrays import Floats
+from puma_sim_core.identify.arrays import Floats, log_rows
 from puma_sim_core.identify.fitting.prediction import Fitted, Pairs, Point, PredictionFit, Slopes
 from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.noise.weighting import Weighting
@@ -35,16 +38,33 @@ def remainder(state: SelectionState, curves: Sequence[Curve], chance: float, lef
     return best if best.scored.gain > need else None
 
 
-def curve_preferred(curve: float, names: float, occam: float, remains: bool) -> bool:
-    """Whether a free curve about the model without effects is preferred to the named effects.
+@dataclass(frozen=True)
+class Explained:
+    """An explanation in a given noise. cost [nat] : half the sum of squares of innovations and of the priors, and Occam
+    factors; pieces (k,) [nat] : half the sums of squares of the innovations by pieces of the logs."""
 
-    curve, names : sums of squares of the innovations after whitening of its joint that they leave; occam [nat] : Occam
-    factor of the curve's heights; remains : whether something remains after the named effects.
+    cost: float
+    pieces: Floats
+
+    def better(self, other: Explained) -> bool:
+        """Whether it is better than another by more than `RESIDUALS.standard_errors` of the difference.
+
+        The difference is a sum over pieces that are longer than noise lasts; its standard error is that of such a sum
+        (Vuong 1989, Econometrica 57:307).
+        """
+        difference = other.pieces - self.pieces
+        error = float(difference.std(ddof=1)) * np.sqrt(len(difference)) if len(difference) > 1 else 0.0
+        return bool(other.cost - self.cost > RESIDUALS.standard_errors * error)
+
+
+def curve_preferred(curve: Explained, names: Explained, both: Explained) -> bool:
+    """Whether a free curve about the model without effects takes the place of the named effects.
+
+    It must be better than they are, and they must add nothing to it: a curve over another quantity may leave less of
+    what else is missing, and names fall only where it takes over what they explain.
     """
-    if remains:
-        return curve < RESIDUALS.clearly_less * names
-    # names that explain all leave but noise, of which no curve leaves less
-    return curve < RESIDUALS.less_than_all * names and 0.5 * (names - curve) - occam > SELECTION.least_gain
+    gained = bool(names.cost - curve.cost > SELECTION.least_gain)
+    return gained and curve.better(names) and not both.better(curve)
 
 
 class Unnamed:
@@ -69,10 +89,10 @@ class Unnamed:
         found = shape.simplest_first(shape.curves(causal, unit))
         return found, shape.chance(causal, found, placebo_shifts(self.seed + 1))
 
-    def preferred(self, bare: Fitted, named: Fitted, joints: Collection[int] | None, remains: bool) -> bool:
-        """Whether a free curve about a model without effects is preferred to a model with named effects.
+    def preferred(self, bare: Fitted, named: Fitted, occam: float, joints: Collection[int] | None) -> bool:
+        """Whether a free curve about a model without effects takes the place of the named effects.
 
-        joints : where the effects act (1-based; None: on all); remains : whether something remains after them.
+        occam [nat] : Occam factors of the effects; joints : where they act (1-based; None: on all).
         """
         causal, found = self._about(bare, joints)
         if not found:
@@ -84,14 +104,27 @@ class Unnamed:
         # in the noise that the curve leaves, never in that of the bare model, which counts what is missing as noise
         noise = shape.noise_after(causal, shape.again(causal, curve))
         causal = self._causal(point, bare.names, noise, volts)
-        best = shape.again(causal, curve)
-        j = best.joint - 1
-        rows = self.predictor.fit_rows[:, j]
-        left = causal.left(best.scored.estimate)[rows, j]
         # the names fitted in the same noise as the curve
-        again, _ = PredictionFit(self.predictor, noise).to_end(named.point, named.names, times=1)
-        names = again.errors[rows, j]
-        return curve_preferred(float(left @ left), float(names @ names), best.scored.occam, remains)
+        fit = PredictionFit(self.predictor, noise)
+        again, raw = fit.to_end(named.point, named.names, times=1)
+        beside = CausalScreen(fit, again.point, again.errors, fit.whitened(raw), self.problem)
+        alone = self._explained(causal, shape.again(causal, curve), 0.0)
+        both = self._explained(beside, shape.again(beside, curve), occam)
+        return curve_preferred(alone, self._explained(beside, None, occam), both)
+
+    def _explained(self, causal: CausalScreen, curve: Curve | None, occam: float) -> Explained:
+        """A screen's model with a curve or without, its parameters having answered; occam [nat] : of its effects."""
+        estimate = None if curve is None else curve.scored.estimate
+        cost = causal.fit.objective(causal.errors, causal.point) - 0.5 * float(causal.Ny @ causal.scaled) + occam
+        if curve is not None and estimate is not None:
+            cost += curve.scored.occam - estimate.likelihood
+        squares = 0.5 * (causal.left(estimate) ** 2).sum(axis=1)
+        longest = max(1, int(SELECTION.noise_piece / self.predictor.step))
+        pieces = []
+        for rows in log_rows(self.predictor.lengths):
+            parts = np.array_split(squares[rows], max(1, (rows.stop - rows.start) // longest))
+            pieces += [float(part.sum()) for part in parts]
+        return Explained(cost, np.array(pieces))
 
     def _about(self, final: Fitted, joints: Collection[int] | None = None) -> tuple[CausalScreen, list[Curve]]:
         """The screen about a model, in the least noise that its innovations allow, and its curves, best first."""

@@ -44,7 +44,7 @@ class Refits:
         m, theta = self.predictor.mechanism, state.model.point.theta
         if not np.any(np.abs(theta - m.start) > RESIDUALS.stretched * m.deviations):
             return state
-        possible = (t for t in state.trials if t.problem is None and t.fitted is not None)
+        possible = (t for t in state.trials if t.explains)
         best = sorted(possible, key=lambda t: -t.gain)[: SELECTION.most_polished]
         fit = PredictionFit(self.predictor, state.noise)
 
@@ -101,7 +101,7 @@ class Refits:
     def polished(self, state: SelectionState) -> SelectionState:
         """Trials near the best are fitted to their end, with all derivatives about themselves; the best alone only
         where the validation set speaks against it."""
-        possible = [t for t in state.trials if t.problem is None]
+        possible = [t for t in state.trials if t.explains]
         top = max((t.gain for t in possible), default=0.0)
         if top < SELECTION.worth_polishing:
             return state

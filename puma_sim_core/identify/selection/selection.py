@@ -24,6 +24,7 @@ from puma_sim_core.identify.screening.causal import CausalScreen, placebo_shifts
 from puma_sim_core.identify.screening.evidence import Key
 from puma_sim_core.identify.screening.short_list import ShortList
 from puma_sim_core.identify.selection.elimination import Elimination
+from puma_sim_core.identify.selection.noise_choice import noise_refused, squares_of_pieces
 from puma_sim_core.identify.selection.refits import Refits
 from puma_sim_core.identify.selection.state import Chosen, SelectionState, Stage
 from puma_sim_core.identify.settings import FITTING, SELECTION
@@ -197,16 +198,17 @@ class Selection:
         return {None: total, **{j + 1: max(min(gain, total), least) for j, gain in enumerate(less)}}
 
     def _validation_volts(self, state: SelectionState) -> Floats:
-        """(J,) sums of squares [V^2] of the voltages that the best model of a state lacks on the validation set."""
-        best = state.best
+        """(k, J) mean squares [V^2] of the voltages that the best model of a state lacks on pieces of the validation
+        set."""
+        best, p = state.best, self.predictor
         point = state.model.point if best is None or best.gain < 0.0 else best.model.point
-        volts = self.predictor.in_volts(self._raw(point), self.problem.sampled.cutoffs[1])
-        return (np.where(self.predictor.validation_rows, volts, 0.0) ** 2).sum(axis=0)
+        volts = p.in_volts(self._raw(point), self.problem.sampled.cutoffs[1])
+        return squares_of_pieces(volts, p.validation_rows.all(axis=1), p.step)
 
     def _noise(self, state: SelectionState) -> Weighting:
         """The weighting by what is left of each joint after the model that explains that joint best."""
         rows = self.predictor.fit_rows
-        fitted = [state.model, *(t.model for t in state.trials if t.possible)]
+        fitted = [state.model, *(t.model for t in state.trials if t.explains)]
         left = np.array([[(f.errors[rows[:, j], j] ** 2).sum() for j in range(rows.shape[1])] for f in fitted])
         numbers = left.argmin(axis=0)
         found = {number: self._raw(fitted[number].point) for number in dict.fromkeys(numbers.tolist())}
@@ -266,11 +268,6 @@ def in_both(
         return min(held(t.gain, threshold), held(there.get(t.key, t.gain), other))
 
     return tuple(replace(t, gain=lesser(t)) for t in trials), least
-
-
-def noise_refused(before: Floats, after: Floats) -> bool:
-    """Whether the voltages (J,) [V^2] that are left of the validation set grew with another noise, joint by joint."""
-    return bool((after > 0.0).all() and np.mean(before / after) < SELECTION.better_noise)
 
 
 def _through(passes: Iterable[Pass], state: SelectionState) -> SelectionState:

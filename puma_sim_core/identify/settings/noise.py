@@ -28,6 +28,10 @@ class Noise:
     spectrum_humps: tuple[float, ...] = (2.0, 4.0, 8.0, 16.0, 32.0)
     spectrum_quality: float = 2.0  #: of the resonance that makes them: they are as wide as they are apart
     spectrum_highest_hump: float = 0.4  #: highest of them, in the sampling frequency
+    #: frequency below which a hump does not fall, in 1/(longest filter): half the main lobe of a Hann window, the
+    #: resolution of the periodograms (Harris 1978, Proc. IEEE 66:51). Falling to zero, humps that took the place of the
+    #: disturbances left joint 3 of seed 970009 a fortieth of its power below 1 Hz, and the fit followed that noise
+    spectrum_resolved: float = 2.0
     spectrum_band: float = 1.0  #: least width of a band [Hz]
     spectrum_share: float = 0.15  #: and as a share of its frequency
     spectrum_least_lines: int = 6  #: least number of lines in it

@@ -54,9 +54,8 @@ class Residuals:
     #: what a remainder's gain must exceed the placebos' greatest by: a factor and an addend [nat] [calibrated]
     placebo_factor: float = 1.3
     placebo_margin: float = 3.0
-    #: squared innovations, over those after the names, of a preferred curve, with and without a remainder [calibrated]
-    clearly_less: float = 0.9
-    less_than_all: float = 0.985
+    #: of a difference of two explanations, from which on it counts: 95 % of a normal distribution lie within
+    standard_errors: float = 2.0
     ranked_curves: int = 8  #: curves that the ranking of axes has
     strained: float = 4.0  #: standard deviations from which a parameter is noted as far from its start
     listed: int = 4  #: most that are listed

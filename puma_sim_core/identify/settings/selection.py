@@ -50,8 +50,11 @@ class Selection:
     polishings: int = 3
     polishing_rounds: int = 3
     polished: float = 2.0
-    #: validation V^2 before over after a new noise, below which the old one stays [calibrated]
-    better_noise: float = 0.97
+    #: growth of the validation V^2 by a new noise that decides nothing, as a share [calibrated]; a greater one refuses
+    #: the noise beyond this quantile of Student's t, by pieces [s] twice as long as the longest source of noise lasts
+    worse_noise: float = 0.03
+    noise_confidence: float = 0.975
+    noise_piece: float = 0.33
 
     # --- cross-validation (`cross_validation`, `validate`)
     #: of a parameter outside a fold; below, it cannot be fitted without it
