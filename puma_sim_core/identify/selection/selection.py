@@ -203,7 +203,7 @@ class Selection:
         best, p = state.best, self.predictor
         point = state.model.point if best is None or best.gain < 0.0 else best.model.point
         volts = p.in_volts(self._raw(point), self.problem.sampled.cutoffs[1])
-        return squares_of_pieces(volts, p.validation_rows.all(axis=1), p.step)
+        return squares_of_pieces(volts, np.asarray(p.validation_rows.all(axis=1)), p.step)
 
     def _noise(self, state: SelectionState) -> Weighting:
         """The weighting by what is left of each joint after the model that explains that joint best."""
