@@ -151,13 +151,24 @@ class PredictionFit:
         raw = self._raw(point)
         if raw is None:
             raise _cannot_be_run()
-        columns = self._by_parameters(point, raw) if by_parameters is None else list(np.moveaxis(by_parameters, 2, 0))
-        columns += parallel_map(lambda pair: self._by_effect(point, raw, *pair), pairs)
-        return np.stack(columns, axis=2) if columns else np.zeros((*raw.shape, 0))
+        p = len(point.theta)
+        out = np.zeros((*raw.shape, p + len(pairs)))
+        if by_parameters is None:
+            self._by_parameters(point, raw, out)
+        else:
+            out[:, :, :p] = by_parameters
+        for k, column in enumerate(parallel_map(lambda pair: self._by_effect(point, raw, *pair), pairs), start=p):
+            out[:, :, k] = column
+        return out
 
     def whitened(self, derivatives: Floats) -> Floats:
         """(N', p) derivatives after whitening, at the rows to fit, of those before it (N, J, p)."""
-        return self.weighting(derivatives)[self.rows]
+        out = np.empty((np.count_nonzero(self.rows), derivatives.shape[2]))
+        # some at a time: transforms of all take several times the memory of what they give
+        for first in range(0, derivatives.shape[2], FITTING.whitened_together):
+            own = slice(first, first + FITTING.whitened_together)
+            out[:, own] = self.weighting(derivatives[:, :, own])[self.rows]
+        return out
 
     def _raw(self, point: Point) -> Floats | None:
         try:
@@ -165,8 +176,9 @@ class PredictionFit:
         except (NonFiniteStateError, ParameterError):
             return None
 
-    def _by_parameters(self, point: Point, raw: Floats) -> list[Floats]:
-        """(N, J) derivatives by each of the mechanism's parameters, side by side where the kernel has lanes for it."""
+    def _by_parameters(self, point: Point, raw: Floats, out: Floats) -> None:
+        """Write derivatives by each of the mechanism's parameters to out (N, J, ...), from runs side by side where the
+        kernel has lanes for them."""
         moved = [
             Point(point.theta + step, point.effects) for step in np.diag(FITTING.difference * self.mechanism.deviations)
         ]
@@ -178,7 +190,9 @@ class PredictionFit:
             raw, after = lanes[0], lanes[1:]
         else:
             after = parallel_map(self._raw, moved)
-        return [np.zeros_like(raw) if one is None else (one - raw) / FITTING.difference for one in after]
+        for k, one in enumerate(after):
+            if one is not None:
+                out[:, :, k] = (one - raw) / FITTING.difference
 
     def _by_effect(self, point: Point, raw: Floats, number: int, name: str) -> Floats:
         effect = point.effects[number]

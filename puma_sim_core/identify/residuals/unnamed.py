@@ -166,7 +166,7 @@ class Unnamed:
         for causal, found in about:
             # where parameters stay near, so do derivatives by them; those of two masses take long
             anew = stretched and not causal.point.two_mass
-            jacobian = None if anew else Slopes.of(causal.jacobian[causal.fit.rows])
+            jacobian = None if anew else Slopes.of(causal.jacobian)
             free, frozen = (final.names, ()) if anew else ((), final.names)
             for curve in shape.best_of_joints(found, RESIDUALS.rival_share):
                 volts = curve.volts(causal)

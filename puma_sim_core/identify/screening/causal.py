@@ -54,9 +54,10 @@ class CausalScreen:
         self.usable = [self._mean(rows[:, j].astype(float)[:, None])[:, 0] > 0.999 for j in range(self.J)]
         self.y = [self._blocks(errors[:, j : j + 1], j)[:, 0] for j in range(self.J)]
         p = jacobian.shape[1]
-        self.jacobian = np.zeros((*errors.shape, p))
-        self.jacobian[rows] = jacobian
-        self.N = [self._blocks(self.jacobian[:, j], j) for j in range(self.J)]
+        self.jacobian = jacobian
+        #: of each joint its rows of the jacobian, in the order of the log
+        self._own = np.cumsum(rows).reshape(rows.shape) - 1
+        self.N = [self._blocks(self._at_all_rows(jacobian, j), j) for j in range(self.J)]
         m = fit.mechanism
         prior = np.full(p, SCREENING.causal_precision)
         prior[: len(m.start)] = 1.0
@@ -83,6 +84,13 @@ class CausalScreen:
 
     def _blocks(self, values: Floats, joint: int) -> Floats:
         return self._mean(values)[self.usable[joint]] * np.sqrt(self.block)
+
+    def _at_all_rows(self, values: Floats, joint: int) -> Floats:
+        """(N, p) of a joint by those (N', p) of all joints at the rows to fit; 0 elsewhere."""
+        own = self.fit.rows[:, joint]
+        out = np.zeros((len(own), values.shape[1]))
+        out[own] = values[self._own[own, joint]]
+        return out
 
     def _signals(self) -> Signals:
         """Signals of the motion that the predictor gives, voltages of the rows before."""
@@ -153,7 +161,8 @@ class CausalScreen:
         if best is not None:
             made = {j: x @ best.coefficients for j, x in self._innovations(best.entry.candidate).items()}
         pulled = self.Ny - sum(self.N[j].T @ self._blocks(x[:, None], j)[:, 0] for j, x in made.items())
-        left = self.errors - self.jacobian @ solved(self.factor, pulled)
+        left = np.where(self.fit.rows, self.errors, 0.0)
+        left[self.fit.rows] -= self.jacobian @ solved(self.factor, pulled)
         for j, x in made.items():
             left[:, j] -= x
         return np.where(self.fit.rows, left, 0.0)

@@ -9,7 +9,7 @@ the gain of log evidence by X needs X'PX and X'Py only, P = 1 - N (S^-2 + N'N)^-
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -61,12 +61,14 @@ class Bank:
                 self._parts[j].append(values)
                 self._at[j] += range(columns.start, columns.stop)
             self.width = columns.stop
-            self.entries.append(Entry(number, candidate, columns))
+            # the columns at all rows are not asked for again: those of a minute at 1 kHz take half a gigabyte
+            self.entries.append(Entry(number, replace(candidate, columns=()), columns))
 
     def freeze(self) -> None:
         """Join the columns once all hypotheses are there."""
         self.at: list[Ints] = [np.array(at, dtype=int) for at in self._at]
         self.values = [np.hstack(parts) if parts else None for parts in self._parts]
+        self._parts = []
 
     def columns_of(self, entry: Entry, values: Sequence[Floats | None] | None = None) -> dict[int, Floats]:
         """Joint -> (m, p) of one candidate, of `values` or of other values in their place."""

@@ -53,6 +53,7 @@ class Fitting:
 
     # --- Gauss and Newton (`prediction`)
     difference: float = 0.05  #: finite difference, in standard deviations of a mechanism's parameter
+    whitened_together: int = 8  #: derivatives that are whitened at once: one group of vector registers
     effect_difference: float = 0.01  #: in sizes of an effect's parameter
     least_precision: float = 1e-4  #: of an effect's parameter without a prior, per its size: decides nothing
     prior_floor: float = 1e-3  #: of a logarithmic prior's parameter over its median: keeps the logarithm finite
