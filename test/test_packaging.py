@@ -243,8 +243,11 @@ def test_each_import_is_a_declared_dependency(metadata):
 def test_what_apt_and_rosdep_can_install_is_in_package_xml(metadata):
     keys = {e.text for e in package_xml().iter("exec_depend")}
     required = modules(r for r in metadata.get_all("Requires-Dist") if "extra ==" not in r)
-    # these two have neither an apt package nor a rosdep key
-    assert {f"python3-{module}" for module in required - {"mcap", "rosbags"}} <= keys
+    # these have no rosdep key: the page says how they come in
+    by_pip = {"mcap", "rosbags", "threadpoolctl"}
+    assert {f"python3-{module}" for module in required - by_pip} <= keys
+    (line,) = re.findall(r"^pip install (.*?) *#", (ROOT / "docs" / "ros.md").read_text(), re.MULTILINE)
+    assert by_pip <= set(line.split())
 
 
 # -- what a newcomer is told ----------------------------------------------------------------------
