@@ -9,14 +9,15 @@ from collections.abc import Callable
 from math import inf, isfinite, nan, pi
 from typing import TYPE_CHECKING, NamedTuple
 
-from puma_sim_core.errors import ParameterError
+from puma_sim_core.errors import ParameterError, one_of
 
 if TYPE_CHECKING:
     from puma_sim_core.executors import Shard
     from puma_sim_core.plant.plant import Plant
 
 #: channels that --columns may name
-_COLUMN = re.compile(r"time|enable|(voltage|position|velocity|current|setpoint|link_position)[1-9][0-9]*")
+_GROUPS = ("voltage", "position", "velocity", "current", "setpoint", "link_position")
+_COLUMN = re.compile(rf"time|enable|({'|'.join(_GROUPS)})[1-9][0-9]*")
 
 
 class Command(NamedTuple):
@@ -119,9 +120,8 @@ def column_names(texts: list[str]) -> dict[str, str] | None:
         if not (ours and equals and theirs):
             raise ParameterError(f"'{item}'", where="--columns", expected="OURS=THEIRS, such as time=t_s")
         if not _COLUMN.fullmatch(ours):
-            expected = (
-                "time, enable, voltage1, position1, velocity1, current1, setpoint1, link_position1, voltage2 and so on"
-            )
+            known = ["time", "enable", *(f"{group}{joint}" for joint in (1, 2, 3) for group in _GROUPS)]
+            expected = one_of(ours, known, f"the columns {', '.join(known[: 2 + len(_GROUPS)])}, voltage2 and so on")
             raise ParameterError(f"unknown column '{ours}'", where="--columns", expected=expected)
         if ours in found:
             raise ParameterError(f"'{ours}' is given twice", where="--columns", expected="each once")
