@@ -166,6 +166,7 @@ def test_a_reading_that_is_late_is_named_with_its_sensor(late):
     assert side.held_out_after < 0.1 * side.held_out_before
 
 
+@pytest.mark.long
 def test_a_lag_of_first_order_is_told_from_a_delay_where_it_bends():
     (side,) = compare([made(lag=0.03, noise=2e-6)], transmission(), 0)
     (effect,) = side.effects
@@ -206,6 +207,7 @@ def test_without_a_torque_only_late_readings_can_be_asked_for():
     assert names(side) == ["sensor_lag"]
 
 
+@pytest.mark.long
 def test_noise_alone_gets_no_name():
     """Thirty joints whose readings differ by noise that lasts, as the torque does."""
     for seed in range(10):
