@@ -68,7 +68,7 @@ def outline_of(text) -> Outline:
 
 
 FRAME = '<iframe style="border:0;width:{width}px;height:900px" srcdoc="{page}"></iframe>'
-PROBE = """<!DOCTYPE html><body style="margin:0">
+PROBE = """<!DOCTYPE html><meta charset="utf-8"><body style="margin:0">
 {frames}
 <pre id="found"></pre>
 <script>
@@ -106,7 +106,7 @@ def browse(path, folder, *flags):
     done = subprocess.run(
         [CHROMIUM, *FLAGS, f"--user-data-dir={folder / 'profile'}", *flags, path.as_uri()],
         capture_output=True,
-        text=True,
+        encoding="utf-8",
         timeout=120,
     )
     console = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
@@ -138,7 +138,7 @@ def assert_drawn(texts, folder, least_height=150, least_letters=0.0) -> None:
             across, down = drawing["size"]
             assert 300 <= across <= width and least_height <= down <= 0.9 * across
             assert drawing["inked"] >= 10
-            assert drawing["outside"] == []
+            assert drawing["outside"] == [], f"at {width} px outside of a drawing of {drawing['size']}"
             assert drawing["letters"] >= least_letters
         assert all(min(size) > 0 for size in (*found["keys"], *found["rows"]))
         assert found["width"][0] <= found["width"][1] <= width

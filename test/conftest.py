@@ -14,6 +14,9 @@ import signal
 import pytest
 from hypothesis import settings
 
+# what these find wrong is shown as what a test finds
+pytest.register_assert_rewrite("browser_support", "ros_support")
+
 # how long an example takes says nothing on a machine that does other work as well; each run takes the same examples
 settings.register_profile("project", deadline=None, derandomize=True)
 settings.load_profile("project")

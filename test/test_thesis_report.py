@@ -369,12 +369,14 @@ def test_browser_draws_every_figure_of_the_experiments(tmp_path, quick_results):
 @pytest.mark.long
 @pytest.mark.timeout(900)
 def test_all_experiments_give_one_page_and_the_same_json_twice(tmp_path):
-    for name, jobs in (("a", "2"), ("b", "1")):
-        done = puma_sim("thesis", "--all", "--out", tmp_path / name, "--jobs", jobs, patience=400)
+    """Twice: every third experiment again, in one process instead of two."""
+    again = list(experiments())[::3]
+    for name, options in (("a", ("--all", "--jobs", "2")), ("b", (*again, "--jobs", "1"))):
+        done = puma_sim("thesis", *options, "--out", tmp_path / name, patience=400)
         assert (done.returncode, complaints(done)) == (0, [])
-    first, second = ((tmp_path / name / "thesis.json").read_text("utf-8") for name in "ab")
-    assert first == second
-    found = json.loads(first)["experiments"]
+    written = [next((tmp_path / name).glob("*.json")) for name in "ab"]
+    found, second = (json.loads(path.read_text("utf-8"))["experiments"] for path in written)
+    assert [json.dumps(each) for each in found if each["number"] in again] == [json.dumps(each) for each in second]
     assert [each["number"] for each in found] == list(experiments())
     unexplained = [
         (each["number"], row["quantity"])

@@ -175,7 +175,8 @@ def test_a_port_that_is_taken_is_named(tmp_path, capsys):
 
 def test_without_viser_it_says_what_to_install(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
-    assert "pip install 'puma_sim_ros[view]'" in refused(capsys, tmp_path / "nothing.csv")
+    log = simulated(ps.Plant.of(), tmp_path)
+    assert "pip install 'puma_sim_ros[view]'" in refused(capsys, log)
 
 
 def test_the_same_motion_gives_the_same_page(tmp_path):
