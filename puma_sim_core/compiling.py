@@ -1,23 +1,30 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The kernel compiled by another process, while this one goes on as plain Python.
 
-A program that begins with `Compilation` starts at once from a cold cache. The other process takes the lock of the
-cache, so that one compiles however many programs begin; it ends by itself, and lives on where the program ends before.
+A program that begins with `Compilation` starts at once from a cold cache. Who starts the other process takes the lock
+of the cache and hands it over, so that one is there however many programs begin. It ends by itself, and lives on where
+the program ends before.
 """
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import os
 import subprocess
 import sys
 import threading
 from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 
 from puma_sim_core import jit
 
-STARTS = "the model runs as plain Python, same numbers, while another process compiles it (once, a minute or two)"
-WAITS = "another process compiles the model (once, a minute or two); this command waits for it"
+_LONG = "once, a minute or two of a free core"
+STARTS = f"the model runs as plain Python, same numbers, while another process compiles it ({_LONG})"
+WAITS = f"another process compiles the model ({_LONG}); this command waits for it"
+#: niceness of work that may take what others leave
+_LOW = 10
 FAILED = "the model could not be compiled and goes on as plain Python; see {}"
 
 
@@ -47,33 +54,46 @@ class Compilation:
         self._say, self._load, self._patient = say, load, patient
         self._process: subprocess.Popen[bytes] | None = None
         self._thread: threading.Thread | None = None
+        self._failed = False
         chosen = os.environ.get("PUMA_SIM_KERNEL", "auto") == "auto" and jit.BACKEND == "numba"
-        missing = [part for part in parts if chosen and not _is_there(part)]
+        self._missing = missing = [part for part in parts if chosen and not _is_there(part)]
         if not missing:
             return
         for part in missing:
             jit.await_compiled(part, partial(self._awaited, part))
         self._log = jit.compiled_mark("log")
-        with open(str(self._log), "ab") as log:
+        self._begin()
+        if not patient and "arm" in missing:
+            say(STARTS)
+
+    def _begin(self) -> bool:
+        """Start the other process, unless one is at work, of this program or of another."""
+        with open(str(jit.compiled_mark("lock")), "a") as lock, open(str(self._log), "ab") as log:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                return False
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "puma_sim_core.identify.compile_ahead", "--behind", *missing],
+                [sys.executable, "-m", "puma_sim_core.identify.compile_ahead", "--locked", *self._missing],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
                 start_new_session=True,
                 env={**os.environ, "PUMA_SIM_KERNEL": "numba"},
+                # the lock is held until that process ends
+                pass_fds=(lock.fileno(),),
             )
-        if not patient and "arm" in missing:
-            say(STARTS)
+        if not self._patient:
+            # not where this program has nothing to do but wait
+            _put_behind(self._process.pid)
+        return True
 
     def _awaited(self, part: str) -> bool:
         """Whether a part is not ready; one that cannot be compiled never is."""
         if self._patient and not _is_there(part):
             self.wait()
         if not _is_there(part):
-            if self._process is not None and self._process.poll() is not None and not _is_there(part):
-                self._process = None
-                self._say(FAILED.format(self._log))
+            self._look()
             return True
         if self._load is None:
             return False
@@ -82,11 +102,40 @@ class Compilation:
             self._thread.start()
         return self._thread.is_alive()
 
+    def _look(self) -> None:
+        """See that somebody is at work on what is missing, or say that it has failed."""
+        if self._failed or (self._process is not None and self._process.poll() is None):
+            return
+        if all(map(_is_there, self._missing)):
+            return
+        if self._process is None:
+            # another program's process, which may have made other parts
+            self._begin()
+            return
+        self._failed = True
+        self._say(FAILED.format(self._log))
+
     def wait(self) -> None:
-        """Return when the other process has ended, if it was needed."""
-        if self._process is not None and self._process.poll() is None:
-            self._say(WAITS)
-            self._process.wait()
+        """Return when what is missing is there, or cannot be compiled."""
+        said = False
+        while not self._failed and not all(map(_is_there, self._missing)):
+            if not said:
+                self._say(WAITS)
+                said = True
+            if self._process is not None:
+                self._process.wait()
+            elif not self._begin():
+                with open(str(jit.compiled_mark("lock")), "a") as lock:
+                    fcntl.flock(lock, fcntl.LOCK_SH)
+            self._look()
+
+
+def _put_behind(process: int) -> None:
+    """Let a process take what others leave: at once, since what it imports before its first line takes seconds."""
+    with contextlib.suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, process, _LOW)
+        # Linux may share the processors out by sessions first, and that process has one of its own
+        Path(f"/proc/{process}/autogroup").write_text(str(_LOW))
 
 
 def _is_there(part: str) -> bool:

@@ -22,7 +22,15 @@ from puma_sim_core.errors import ParameterError
 
 _PACKAGE = Path(__file__).resolve().parent
 #: folders and files that compiled functions stand in; a change of any of them makes an older cache void
-_SOURCES = ("jit.py", "dynamics", "servo", "effects", "simulation/tracking.py", "identify/screening/known_effects.py")
+_SOURCES = (
+    "jit.py",
+    "dynamics",
+    "servo",
+    "effects",
+    "control/sample_laws.py",
+    "simulation/tracking.py",
+    "identify/screening/known_effects.py",
+)
 
 
 def _choose() -> str:
@@ -162,6 +170,12 @@ _HERE = threading.local()
 def compiled_mark(part: str) -> Path | None:
     """The file that says that a part is in the cache; None without a cache."""
     return None if _CACHE is None else Path(_CACHE) / f"compiled-{part}"
+
+
+def compiled_ahead(part: str) -> bool:
+    """Whether a part is in the cache, so that a first call of it compiles nothing."""
+    mark = compiled_mark(part)
+    return mark is not None and mark.exists()
 
 
 def await_compiled(part: str, awaited: Callable[[], bool]) -> None:

@@ -14,6 +14,7 @@ from math import inf
 import jsonschema
 import numpy as np
 import pytest
+from linkage_support import LEVEL_DOWN, mechanism, torque_drive
 
 from puma_sim_core.appraisal import appraise, battery, work
 from puma_sim_core.appraisal.appraise import BatteryError, check_controls, run_battery
@@ -31,6 +32,9 @@ from puma_sim_core.cli import main
 from puma_sim_core.cli.output import TimeLeft
 from puma_sim_core.errors import ParameterError, RecordingError
 from puma_sim_core.executors import Shard, open_executor
+from puma_sim_core.files import read_yaml, write_yaml
+from puma_sim_core.plant.linkage.linkage_file import linkage_mapping
+from puma_sim_core.plant.model_file import dump_model
 from puma_sim_core.resources import config_path
 from puma_sim_core.simulation.replay import replay
 
@@ -266,7 +270,7 @@ def test_a_class_that_cannot_answer_is_refused_before_anything_is_done(method, m
         (["pid", "--perturbation", "rain"], "unknown perturbation 'rain'"),
         (["pid", "--perturbation", "augmented"], "without a model"),
         (["computed_torque_augmented"], "--model FILE with it"),
-        (["pid", "--plant", "pendulum"], "a mechanism of 1 joint"),
+        (["pid", "--plant", "pendulum"], "a mechanism of kind pendulum with 1 joint"),
         (["pid", "--seed", "-1"], "a whole number, 0 or more"),
         (["pid", "--shard", "3/2"], "i/n with i from 1 to n"),
         (["pid", "--shard", "1/2", "--bags", "3"], "--bags with --shard"),
@@ -298,6 +302,29 @@ def test_other_folders_and_models_are_refused(done, tmp_path, capsys):
     model.write_text("format: puma-sim model 1\nmechanism: pendulum\n")
     assert main(["appraise", "pid", "--model", str(model), "--out", str(tmp_path / "m")]) == 2
     assert "--model" in capsys.readouterr().err and not (tmp_path / "m").exists()
+
+
+def test_arms_of_another_size_or_class_are_refused(tmp_path, capsys):
+    drive = torque_drive()
+    arm = mechanism(base=drive, shoulder=drive, elbow=drive, zero={"shoulder": LEVEL_DOWN})
+    dump_model(arm.plant(), tmp_path / "model.yaml")
+    write_yaml(linkage_mapping(arm.body), tmp_path / "arm.yaml", ParameterError)
+    own = read_yaml(config_path("mechanisms/puma560.yaml"), ParameterError)
+    numbers = read_yaml(config_path("parameters/bejczy.yaml"), ParameterError)
+    numbers["geometry"]["a2"]["value"] = 0.2
+    write_yaml(numbers, tmp_path / "short.yaml", ParameterError)
+    write_yaml({**own, "parameters": "short.yaml"}, tmp_path / "small.yaml", ParameterError)
+    out = tmp_path / "out"
+    for options, expected in (
+        (("--model", str(tmp_path / "model.yaml")), "a model of kind linkage; expected a model of an arm"),
+        (
+            ("--plant", str(tmp_path / "arm.yaml")),
+            "a mechanism of kind linkage with 3 joints; expected one of kind arm",
+        ),
+        (("--plant", str(tmp_path / "small.yaml")), "expected an arm of the PUMA 560's size"),
+    ):
+        assert main(["appraise", "pid", *options, "--out", str(out)]) == 2
+        assert expected in capsys.readouterr().err and not out.exists()
 
 
 def test_a_period_that_no_multiple_fits_is_refused(tmp_path, monkeypatch, capsys):

@@ -262,7 +262,8 @@ def test_what_a_command_needs_is_compiled_ahead_and_no_more(trials, parts, tmp_p
     monkeypatch.setattr(subprocess, "Popen", lambda words, **_: started.append(words))
     start_at_once(patient=True, trials=trials)
     (words,) = started
-    assert words[-len(parts) :] == parts and words[-len(parts) - 1] == "--behind"
+    assert words[-len(parts) :] == parts
+    assert words[-len(parts) - 1] == "--locked"
 
 
 def test_a_kernel_without_a_cache_compiles_and_runs(tmp_path):

@@ -29,6 +29,7 @@ from puma_sim_core.appraisal.tasks.library import Task, tasks
 from puma_sim_core.checks import check_choice, check_whole
 from puma_sim_core.effects import KINDS
 from puma_sim_core.errors import ModelError, ParameterError
+from puma_sim_core.plant.linkage.linkage_mechanism import LinkageMechanism
 from puma_sim_core.plant.mechanism import Mechanism
 from puma_sim_core.plant.mechanism_file import load_mechanism
 from puma_sim_core.plant.model_file import plant_of_mapping
@@ -254,13 +255,18 @@ class _Frozen:
 @lru_cache(maxsize=4)
 def _setting(mechanism: str, model: _Frozen, seed: int) -> Setting:
     base = load_mechanism(mechanism)
-    if base.joints != 3:
-        expected = "an arm of three: tasks and measures are at its wrist"
-        raise ParameterError(f"a mechanism of {base.joints} joint", where=mechanism, expected=expected)
+    if isinstance(base, LinkageMechanism):
+        what = f"a mechanism of kind {base.body.kind} with {base.joints} joint{'s' * (base.joints > 1)}"
+        raise ParameterError(what, where=mechanism, expected="one of kind arm: tasks and measures are at its wrist")
     augmented = None if model.mapping is None else _augmented(base, model.mapping)
     plant: Any = base.plant()
     known = controllers.Models(plant, None if augmented is None else augmented.plant())
-    return Setting(plant, Drawing(base, augmented, seed), tasks(plant), known)
+    try:
+        made = tasks(plant)
+    except ParameterError as error:
+        expected = "an arm of the PUMA 560's size, whose wrist reaches the paths of `puma-sim appraise list`"
+        raise ParameterError(f"a task cannot be done: {error}", where=mechanism, expected=expected) from None
+    return Setting(plant, Drawing(base, augmented, seed), made, known)
 
 
 def _augmented(base: Mechanism, mapping: Mapping[str, Any]) -> Mechanism:

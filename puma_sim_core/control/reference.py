@@ -20,8 +20,11 @@ from dataclasses import dataclass
 from math import copysign, sqrt
 
 from puma_sim_core.checks import check_positive, check_three_positive
+from puma_sim_core.control.sample_laws import reference_at
 from puma_sim_core.errors import ParameterError
+from puma_sim_core.jit import plain
 
+_at = plain(reference_at)
 #: delay of the spline in periods of the setpoints
 _LATE = 1.5
 #: periods in which the lead comes back
@@ -56,51 +59,45 @@ class SetpointReference:
     """
 
     def __init__(self, period: float, setpoint_period: float, bounds: Bounds, where: str = _WHERE):
-        self._T = check_positive(setpoint_period, "setpoint_period", "s", where)
+        #: T [s], and the time that the lead makes up for [s]
+        self.period = check_positive(setpoint_period, "setpoint_period", "s", where)
         self._samples = round(setpoint_period / check_positive(period, "period", "s", where))
         if self._samples < 1 or abs(self._samples * period - setpoint_period) > 1e-9 * setpoint_period:
             expected = f"a whole part of {setpoint_period!r} s"
             raise ParameterError(f"period = {period!r} s", where=where, expected=expected)
         pairs = zip(bounds.greatest_velocity, bounds.greatest_acceleration)
-        self._joints = [_Bounded(self._T, float(v), float(a)) for v, a in pairs]
-        self._lead = bounds.lead * _LATE * self._T
+        self._joints = [_Bounded(self.period, float(v), float(a)) for v, a in pairs]
+        self.lead = bounds.lead * _LATE * self.period
         self._k: int | None = None
-        self._pieces: list[tuple[float, ...]] = []
+        self._pieces: tuple[float, ...] = ()
 
     def reset(self) -> None:
         """Forget the past: the next sample starts at rest where the arm is."""
         self._k = None
 
-    def update(self, setpoint: Sequence[float], measurement: Sequence[float]) -> list[tuple[float, float, float]]:
+    def update(self, setpoint: Sequence[float], measurement: Sequence[float]) -> list[tuple[float, ...]]:
         """(position [rad], velocity [rad/s], acceleration [rad/s^2]) of each joint at a sample.
 
         setpoint, measurement : (3,) [rad]; the setpoint is taken at the first sample of its
         period, the measurement at the first of all.
         """
+        u, pieces = self.pieces(setpoint, measurement)
+        return [_at(pieces[at : at + 7], u, self.period, self.lead) for at in (0, 7, 14)]
+
+    def pieces(self, setpoint: Sequence[float], measurement: Sequence[float]) -> tuple[float, tuple[float, ...]]:
+        """u, and the seven numbers of each joint's path in this period, joint by joint, as `reference_at` takes them;
+        like `update`, and once a sample."""
         if self._k is None:
             self._k = 0
             for joint, y in zip(self._joints, measurement):
                 joint.start(float(y))
         if self._k == 0:
-            self._pieces = [self._piece(joint, float(r)) for joint, r in zip(self._joints, setpoint)]
+            self._pieces = tuple(
+                number for joint, r in zip(self._joints, setpoint) for number in self._piece(joint, float(r))
+            )
         u = self._k / self._samples
         self._k = (self._k + 1) % self._samples
-        T, left, middle = self._T, 1.0 - u, 1.0 + u * (2.0 - u)
-        found = []
-        for p0, first, second, acceleration, before, gained, slope in self._pieces:
-            # in a form that gives p0 exactly where all three are equal
-            position = p0 + 0.5 * (first * middle + second * u * u)
-            velocity = (left * first + u * second) / T
-            c = self._lead * (before + u * gained)
-            # the spline of a parabola lies T^2/8 of its second derivative beside it: c T / 12
-            found.append(
-                (
-                    position + c * velocity + (0.5 * c - T / 12.0) * c * acceleration,
-                    velocity + c * acceleration + slope * (velocity + (c - T / 12.0) * acceleration),
-                    acceleration,
-                )
-            )
-        return found
+        return u, self._pieces
 
     def _piece(self, joint: _Bounded, setpoint: float) -> tuple[float, ...]:
         """What holds between two setpoints of a joint: p0, p1 - p0, p2 - p1, the acceleration, and of the lead its
@@ -110,8 +107,8 @@ class SetpointReference:
         first, second = p1 - p0, p2 - p1
         before, after = joint.shares
         gained = after - before
-        acceleration = (second - first) / (self._T * self._T)
-        return p0, first, second, acceleration, before, gained, self._lead * gained / self._T
+        acceleration = (second - first) / (self.period * self.period)
+        return p0, first, second, acceleration, before, gained, self.lead * gained / self.period
 
 
 class _Bounded:

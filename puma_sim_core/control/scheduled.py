@@ -9,8 +9,7 @@ angles; beyond their edges the gains of the edge hold.
 from __future__ import annotations
 
 import itertools
-from bisect import bisect_right
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import inf, isfinite
@@ -19,12 +18,13 @@ from typing import Any
 import numpy as np
 
 from puma_sim_core.checks import check_keys, check_positive, check_three_each
+from puma_sim_core.control.sample_laws import packed, schedule_table, scheduled_gains, scheduled_pid
 from puma_sim_core.errors import ParameterError
-from puma_sim_core.jit import interpreted
-from puma_sim_core.servo.pid import PidGains, pid_law
+from puma_sim_core.jit import fitting
+from puma_sim_core.servo.pid import PidGains
 
-_law: Callable[..., Any] = interpreted(pid_law)
 _WHERE = "gain schedule"
+_NOTHING: tuple[float, ...] = (0.0,) * 9
 GAIN_NAMES = ("gain", "integral_time", "derivative_time")
 _KEYS = ("q2", "q3", *GAIN_NAMES)
 
@@ -67,30 +67,13 @@ class GainSchedule:
                 check_positive(PidGains(*values).gain, f"gain of joint {j + 1}", "", _WHERE)
 
     @cached_property
-    def _cells(self) -> list[list[tuple[Any, ...]]]:
-        """For each interval of q2 and q3 the nine values: a number, or the two lower ones and their differences."""
-
-        def cell(entry: Any, i: int, k: int) -> Any:
-            if type(entry) is float:
-                return entry
-            low, high = entry[i], entry[i + 1]
-            return low[k], low[k + 1] - low[k], high[k], high[k + 1] - high[k]
-
-        entries = [getattr(self, name)[j] for j in range(3) for name in GAIN_NAMES]
-        rows, columns = range(len(self.q2) - 1), range(len(self.q3) - 1)
-        return [[tuple(cell(entry, i, k) for entry in entries) for k in columns] for i in rows]
+    def table(self) -> list[float]:
+        """The numbers of it in a row, see `sample_laws.schedule_table`."""
+        return schedule_table(self.q2, self.q3, [getattr(self, name)[j] for j in range(3) for name in GAIN_NAMES])
 
     def at(self, q2: float, q3: float) -> list[tuple[float, float, float]]:
         """(gain, integral_time, derivative_time) of each joint at a pose [rad]."""
-        i, a = _place(self.q2, q2)
-        k, b = _place(self.q3, q3)
-        values = []
-        for value in self._cells[i][k]:
-            if type(value) is not float:
-                low, up, high, up_high = value
-                left = low + b * up
-                value = left + a * (high + b * up_high - left)
-            values.append(value)
+        values = fitting(scheduled_gains, self.table)(self.table, q2, q3)
         return list(zip(values[::3], values[1::3], values[2::3]))
 
     def to_mapping(self) -> dict[str, list[Any]]:
@@ -128,12 +111,6 @@ def _entry(entry: Any, what: str, shape: tuple[int, int]) -> Any:
     return tuple(tuple(row) for row in np.broadcast_to(values, shape).tolist())
 
 
-def _place(angles: Sequence[float], q: float) -> tuple[int, float]:
-    """The interval of the table that q [rad] lies in, and the share of it, 0 to 1."""
-    i = min(max(bisect_right(angles, q) - 1, 0), len(angles) - 2)
-    return i, min(max((q - angles[i]) / (angles[i + 1] - angles[i]), 0.0), 1.0)
-
-
 class ScheduledPid:
     """Independent PID control with scheduled gains; the law is that of `pid.Pid`.
 
@@ -151,27 +128,19 @@ class ScheduledPid:
         self.period = check_positive(period, "period", "s", "scheduled PID")
         self.limit = check_positive(limit, "limit", "V", "scheduled PID", infinite=True)
         self.on_measurement = bool(on_measurement)
+        self._constants = packed(schedule.table)
+        self._how = (self.period, self.limit, float(self.on_measurement))
         self.reset()
 
     def reset(self) -> None:
         """Forget the past: no sum, and no derivative at the next sample."""
-        self._total = (0.0, 0.0, 0.0)
-        self._gain: tuple[float, float, float] | None = None
-        self._before: tuple[float, float, float] | None = None
+        self._known = _NOTHING
 
     def update(self, t: float, setpoint: Sequence[float], measurement: Sequence[float]) -> tuple[float, ...]:
         """Volts for one sample at time t [s]; setpoint and measurement (3,) [rad]; raises ParameterError on others."""
         check_three_each(setpoint, measurement, "scheduled PID")
-        # joint by joint, without a loop: an appraisal calls this a thousand times a second
-        q1, q2, q3 = map(float, measurement)
-        (g1, i1, d1), (g2, i2, d2), (g3, i3, d3) = self.schedule.at(q2, q3)
-        r1, r2, r3 = map(float, setpoint)
-        error = e1, e2, e3 = r1 - q1, r2 - q2, r3 - q3
-        now = n1, n2, n3 = (-q1, -q2, -q3) if self.on_measurement else error
-        (b1, b2, b3), (s1, s2, s3), h, limit = self._before or now, self._total, self.period, self.limit
-        k1, k2, k3 = self._gain or (g1, g2, g3)
-        u1, s1 = _law(e1, n1, b1, s1 * (k1 / g1), g1, h / i1, d1 / h, limit)
-        u2, s2 = _law(e2, n2, b2, s2 * (k2 / g2), g2, h / i2, d2 / h, limit)
-        u3, s3 = _law(e3, n3, b3, s3 * (k3 / g3), g3, h / i3, d3 / h, limit)
-        self._before, self._total, self._gain = now, (s1, s2, s3), (g1, g2, g3)
-        return u1, u2, u3
+        (q1, q2, q3), (r1, r2, r3), c = measurement, setpoint, self._constants
+        q, r = (float(q1), float(q2), float(q3)), (float(r1), float(r2), float(r3))
+        volts: tuple[float, ...]
+        volts, self._known = fitting(scheduled_pid, c)(c, self._how, q, r, self._known)
+        return volts

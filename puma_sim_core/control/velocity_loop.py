@@ -6,18 +6,17 @@ velocity, a PI controller sees to it. Setpoints and measured velocity v as in `c
 but no model of the arm. While a voltage is at its limit, its sum does not grow.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import exp, inf
-from typing import Any
 
-from puma_sim_core.checks import check_positive, check_three_positive
+from puma_sim_core.checks import check_positive, check_three_each, check_three_positive
 from puma_sim_core.control.reference import Bounds, SetpointReference
-from puma_sim_core.jit import interpreted
-from puma_sim_core.servo.pid import pid_law
+from puma_sim_core.control.sample_laws import packed, velocity_loops
+from puma_sim_core.jit import fitting
 
-_law: Callable[..., Any] = interpreted(pid_law)
 _WHERE = "velocity loop"
+_AT_REST = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -49,29 +48,26 @@ class VelocityLoop:
         s, names = settings, ("position_gain", "velocity_gain", "velocity_time")
         self.period = check_positive(period, "period", "s", _WHERE)
         gains = zip(*(check_three_positive(getattr(s, name), name, _WHERE) for name in names))
-        self._gains = tuple((kp, kv, self.period / tv) for kp, kv, tv in gains)
+        per_joint = [number for kp, kv, tv in gains for number in (kp, kv, self.period / tv)]
         self.limit = check_positive(limit, "limit", "V", _WHERE, infinite=True)
-        self._filter = 1.0 - exp(-period * check_positive(s.velocity_filter, "velocity_filter", "rad/s", _WHERE, True))
+        share = 1.0 - exp(-period * check_positive(s.velocity_filter, "velocity_filter", "rad/s", _WHERE, True))
         bounds = Bounds(s.greatest_velocity, s.greatest_acceleration, s.lead)
-        self._reference = SetpointReference(period, setpoint_period, bounds, _WHERE)
+        self._reference = reference = SetpointReference(period, setpoint_period, bounds, _WHERE)
+        self._constants = packed([*per_joint, self.period, share, self.limit, reference.period, reference.lead])
         self.reset()
 
     def reset(self) -> None:
         """Forget the past: no sum, at rest at the next sample."""
         self._reference.reset()
-        self._total = [0.0, 0.0, 0.0]
-        self._velocity = [0.0, 0.0, 0.0]
-        self._before: list[float] | None = None
+        self._known: tuple[float, ...] | None = None
 
     def update(self, t: float, setpoint: Sequence[float], measurement: Sequence[float]) -> tuple[float, ...]:
         """Volts for one sample at time t [s]; setpoint and measurement (3,) [rad]."""
-        q = [float(y) for y in measurement]
-        before, known, total, h, limit = self._before or q, self._velocity, self._total, self.period, self.limit
-        self._before = q
-        volts = []
-        for j, ((r, rd, _), (kp, kv, integral)) in enumerate(zip(self._reference.update(setpoint, q), self._gains)):
-            known[j] += self._filter * ((q[j] - before[j]) / h - known[j])
-            error = rd + kp * (r - q[j]) - known[j]
-            u, total[j] = _law(error, 0.0, 0.0, total[j], kv, integral, 0.0, limit)
-            volts.append(u)
-        return tuple(volts)
+        check_three_each(setpoint, measurement, _WHERE)
+        q1, q2, q3 = measurement
+        q = (float(q1), float(q2), float(q3))
+        u, pieces = self._reference.pieces(setpoint, q)
+        c, known = self._constants, self._known or (*q, *_AT_REST)
+        volts: tuple[float, ...]
+        volts, self._known = fitting(velocity_loops, c)(c, q, known, u, pieces)
+        return volts

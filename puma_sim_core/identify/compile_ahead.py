@@ -3,16 +3,16 @@
 
 `python -m puma_sim_core.identify.compile_ahead` takes a minute or two, with names of parts only these; what it makes is
 kept on the disk, for this user and these sources. What is there already is left alone, and of several of these
-processes one works while the others wait.
+processes one works while the others wait; with ``--locked`` the one that started it holds their lock for it.
 """
 
 import fcntl
-import os
 import sys
 
 import numpy as np
 
 from puma_sim_core import jit
+from puma_sim_core.control.sample_laws import compile_laws
 from puma_sim_core.dynamics.samples import flat
 from puma_sim_core.effects import KINDS, parse_effect
 from puma_sim_core.effects.base import Stage
@@ -43,11 +43,12 @@ def _simulated(plant: Plant) -> None:
 
 
 def _sampled() -> None:
-    """What trials of `appraise` run beside that: single samples."""
+    """What trials of `appraise` run beside that: single samples, of the plant and of controllers."""
     for effects in ((), (parse_effect(_SOFT),)):
         kernel = flat(Plant.of(effects=effects).constants)
         rows = np.zeros((2, kernel.width))
         kernel.hold(kernel.model, kernel.table, rows, (0, 1), (0.0, 0.0, 0.0), 0.0, 1, 0.001)
+    compile_laws()
 
 
 def _identified() -> None:
@@ -79,13 +80,12 @@ _PARTS = {
 
 
 def main() -> int:
-    """Run each part that is named, or all, and not in the cache; with ``--behind`` at low priority."""
-    if "--behind" in sys.argv:
-        os.nice(10)
+    """Run each part that is named, or all, and not in the cache."""
     if jit.compiled_mark("lock") is None:
         return 0
-    with open(str(jit.compiled_mark("lock")), "w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+    with open(str(jit.compiled_mark("lock")), "a") as lock:
+        if "--locked" not in sys.argv:
+            fcntl.flock(lock, fcntl.LOCK_EX)
         for part in [name for name in _PARTS if name in sys.argv] or _PARTS:
             mark = jit.compiled_mark(part)
             if mark is not None and not mark.exists():

@@ -1,0 +1,88 @@
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
+"""One process compiles, however many programs begin; who waits for it goes on when it is done or has failed.
+
+With a short program in the place of the compiler.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from puma_sim_core import compiling, jit
+from puma_sim_core.compiling import FAILED, STARTS, WAITS, Compilation
+
+#: makes the mark of each part that it is asked for
+MAKES = "import sys, pathlib; [pathlib.Path(sys.argv[1], name).touch() for name in sys.argv[2:]]"
+
+
+@pytest.fixture
+def begun(tmp_path, monkeypatch):
+    """Starts a `Compilation` by a program in place of the compiler; the words of each start and what was said."""
+    real, started, said = subprocess.Popen, [], []
+
+    def compilation(body: str, **options) -> Compilation:
+        def start(words, **rest):
+            started.append(words)
+            parts = words[words.index("--locked") + 1 :]
+            return real([sys.executable, "-c", body, str(tmp_path), *parts], **rest)
+
+        monkeypatch.setattr(compiling.subprocess, "Popen", start)
+        return Compilation(said.append, **options)
+
+    monkeypatch.setenv("PUMA_SIM_KERNEL", "auto")
+    monkeypatch.setattr(jit, "BACKEND", "numba")
+    monkeypatch.setattr(jit, "compiled_mark", lambda part: tmp_path / part)
+    monkeypatch.setattr(jit, "await_compiled", lambda *_: None)
+    compilation.started, compilation.said = started, said
+    return compilation
+
+
+def test_programs_that_begin_together_start_one_process(begun):
+    slow = f"import time; time.sleep(0.5); {MAKES}"
+    first, *others = [begun(slow) for _ in range(5)]
+    assert len(begun.started) == 1
+    assert set(begun.said) == {STARTS}
+    for each in (*others, first):
+        each.wait()
+    assert len(begun.started) == 1
+    begun(slow).wait()  # all is there now
+    assert len(begun.started) == 1
+
+
+@pytest.mark.parametrize(("patient", "niceness"), [(False, 10), (True, 0)])
+def test_the_process_stands_behind_work_that_goes_on(begun, patient, niceness):
+    process = begun(f"import time; time.sleep(0.5); {MAKES}", patient=patient)._process
+    assert os.getpriority(os.PRIO_PROCESS, process.pid) == (niceness or os.getpriority(os.PRIO_PROCESS, 0))
+    group = Path(f"/proc/{process.pid}/autogroup")
+    assert not group.exists() or f"nice {niceness}" in group.read_text()
+    process.wait()
+
+
+def test_a_process_that_fails_is_told_once_and_not_tried_again(begun, tmp_path):
+    patient = begun("raise SystemExit(1)", patient=True, parts=("arm",))
+    patient.wait()
+    patient.wait()
+    assert begun.said == [WAITS, FAILED.format(tmp_path / "log")]
+    assert len(begun.started) == 1
+
+
+def test_what_another_program_has_not_made_is_made_when_that_has_ended(begun, tmp_path):
+    with open(tmp_path / "lock", "a") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        waits = begun(MAKES, patient=True, parts=("arm", "trials"))
+        assert begun.started == []
+        # the other one ends with a part of it
+        (tmp_path / "arm").touch()
+        timer = threading.Timer(0.3, fcntl.flock, (lock, fcntl.LOCK_UN))
+        timer.start()
+        waits.wait()
+        timer.join()
+    assert len(begun.started) == 1 and (tmp_path / "trials").exists()
+    assert begun.said == [WAITS]
