@@ -273,8 +273,12 @@ class Peer:
     def fresh(self) -> None:
         """Paused, at step 0, which is the first of all that is collected."""
         self.call("pause", data=True)
-        for _ in range(5):
-            self.executor.spin_once(timeout_sec=0.01)
+        # what was sent before is on its way on other topics
+        seen = -1
+        while seen != len(self.states) + len(self.voltages) + len(self.currents):
+            seen = len(self.states) + len(self.voltages) + len(self.currents)
+            for _ in range(5):
+                self.executor.spin_once(timeout_sec=0.02)
         for collected in (self.states, self.currents, self.voltages):
             collected.clear()
         answer = self.call("reset")

@@ -253,6 +253,26 @@ def test_what_apt_and_rosdep_can_install_is_in_package_xml(metadata):
 # -- what a newcomer is told ----------------------------------------------------------------------
 
 
+#: packages that some tests take where they are there, beyond package.xml and the README's line
+_OPTIONAL = ("mujoco", "pinocchio", "control", "mcap_ros2", "dask", "distributed", "argcomplete", "sphinx")
+
+
+def test_every_test_file_can_be_read_without_packages_that_only_some_need(tmp_path):
+    """As `colcon test` reads them: one file that cannot be read ends all tests."""
+    for name in _OPTIONAL:
+        text = f"raise ModuleNotFoundError('No module named {name}', name='{name}')"
+        (tmp_path / f"{name}.py").write_text(text)
+    path = os.pathsep.join([str(tmp_path), str(ROOT), os.environ.get("PYTHONPATH", "")])
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "--collect-only", "-p", "no:cacheprovider", str(ROOT / "test")],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": path, "PUMA_SIM_KERNEL": "python"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stdout[-3000:]
+
+
 @pytest.mark.parametrize("command", ["make run", "make test", "colcon build", "ros2 run puma_sim_ros sim_node"])
 def test_the_readme_shows(command):
     assert command in (ROOT / "README.md").read_text()

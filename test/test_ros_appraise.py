@@ -195,14 +195,17 @@ def test_a_process_that_misbehaves_fails_with_the_reason_and_the_rest_goes_on(tm
         "perturbations": "[nominal, noise]",
         "mine.command": f"{sys.executable} {ROOT / 'test' / 'misbehaving_process.py'} {tmp_path / 'count'}",
         "bags": "all",
-        "answer_timeout": 6.0,
+        # a busy machine must not make those late that do not hang
+        "answer_timeout": PATIENCE,
+        "trial_timeout": 4 * PATIENCE,
+        "start_timeout": 4 * PATIENCE,
     }
     out = tmp_path / "board"
     ended(start(out, 2, **ONE | wanted))
     found = list(trials_of(results(out), "mine").values())
     expected = {
         "well": ("completed", ""),
-        "hangs": ("late", "no answer within 6 s, at 0.2520 s"),
+        "hangs": ("late", f"no answer within {PATIENCE:g} s, at 0.2520 s"),
         "dies": ("died", "its process was ended by signal SIGSEGV, at 0.2520 s"),
         "not finite": ("not_finite", "voltages (nan, 0, 0) at 0.2520 s"),
         "floods": ("refused", "it sent more commands than it got states"),

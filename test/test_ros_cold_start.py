@@ -61,10 +61,21 @@ def test_from_a_cold_cache_the_node_moves_and_ends_while_another_process_compile
         assert len(compilers(cache)) == 1
         assert node.end() == 0
     assert "another process compiles it" in node.errors
-    # which goes on; a second start finds it at work and adds no second compiler at work
+    # which goes on, behind all other work; a second program finds it at work and adds none
+    (compiler,) = compilers(cache)
+    assert os.getpriority(os.PRIO_PROCESS, compiler) == 10
+    group = Path(f"/proc/{compiler}/autogroup")
+    assert not group.exists() or "nice 10" in group.read_text()
+    done = subprocess.run(
+        [sys.executable, "-m", "puma_sim_core", "replay", bag],
+        env={**environment(), **variables(cache)},
+        text=True,
+        capture_output=True,
+    )
+    assert "python kernel" in done.stdout and "replay identical" in done.stdout, done.stderr
+    assert "another process compiles it" in done.stderr
     assert len(compilers(cache)) == 1
     assert not list(cache.rglob("compiled-arm"))
-    assert replay(bag).identical
 
 
 def test_the_node_goes_over_to_the_compiled_model_without_a_change_of_a_bit(cache, tmp_path):

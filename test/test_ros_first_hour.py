@@ -241,15 +241,17 @@ def test_a_late_subscriber_gets_the_present_state_while_paused(mode):
 
 def test_step_makes_as_many_steps_as_asked_for_and_others_have_their_turn(braked):
     braked.fresh()
-    assert braked.set(step_count=1000)[0].successful
+    # so many that they are not over before the other answer, however late that is read
+    assert braked.set(step_count=100_000)[0].successful
     try:
         future = braked.clients["step"].call_async(braked.clients["step"].srv_type.Request())
         (value,) = braked.call("get_parameters", names=["step_count"]).values
-        assert value.integer_value == 1000 and not future.done()
+        assert value.integer_value == 100_000 and not future.done()
         assert braked.call("pause", data=False).success
         braked.wait_for(future.done, "the answer")
         assert not future.result().success and "no longer paused" in future.result().message
         braked.fresh()
+        assert braked.set(step_count=1000)[0].successful
         assert braked.call("step").message == "step 1000, time 28 s"
     finally:
         braked.set(step_count=1)

@@ -79,7 +79,10 @@ def test_a_signal_at_any_moment_of_the_start_leaves_a_closed_bag_or_none(tmp_pat
         node = Program("puma_sim_ros.sim_node", *arguments({"bag_path": bag}))
         time.sleep(moment)
         status = node.end(number)
-        assert status in (0, 128 + number), node.errors
+        if status == 1 and number == signal.SIGINT and "sim_node.py" not in node.errors:
+            assert "KeyboardInterrupt" in node.errors  # of the interpreter, before the first line of the program
+            continue
+        assert status in (0, 128 + number, -number), node.errors
         assert "Traceback" not in node.errors
         if status == 0:
             assert replay(bag).identical

@@ -113,7 +113,8 @@ def _table(figures: Sequence[Figure], moment: float | None) -> str:
     for figure in figures:
         joints = [layer for layer in figure.layers if layer.label.startswith("joint")]
         head = "".join(f"<th style='color:{COLOURS[joint.colour][0]}'>{joint.label}</th>" for joint in joints)
-        cells = "".join(f"<td>{_value(joint, moment):.3f}</td>" for joint in joints)
+        # no minus before a zero
+        cells = "".join(f"<td>{round(_value(joint, moment), 3) + 0.0:.3f}</td>" for joint in joints)
         rows.append(f"<tr><td style='text-align:left'>{html.escape(figure.y_label)}</td>{cells}</tr>")
     style = "width:calc(100% - 1.6em);margin:0 .8em;font-size:.8em;text-align:right;font-variant-numeric:tabular-nums"
     return f"<table style='{style}'><tr><th></th>{head}</tr>{''.join(rows)}</table>"

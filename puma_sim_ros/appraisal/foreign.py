@@ -37,8 +37,8 @@ class Foreign:
             trial.fail("refused", "it sent more commands than it got states")
             response = trial.response()
         if response.end in ("late", "died", "refused"):
-            # its next answers would be those of this trial
-            self.stop(polite=False)
+            # its next answers would be those of this trial; one that has only broken a rule can still end by itself
+            self.stop(polite=response.end == "refused")
         return response
 
     def start(self) -> None:

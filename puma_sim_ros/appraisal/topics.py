@@ -23,8 +23,9 @@ from puma_sim_ros.node.peers import UNKNOWN
 STATES, SETPOINTS, REFERENCE = "joint_states", "setpoint", "reference"
 #: commands that wait: as many as a process that answers more than once may send before it is found out
 _DEPTH = 100
-#: seconds between two looks at whether the process lives; between two first states; for answers that nobody asked for
-_LOOK, _AGAIN, _EXTRA = 0.1, 1.0, 0.005
+#: seconds between two looks at whether the process lives; between two first states; after which no more answers to them
+#: come, which all wait at the same time; for answers that nobody asked for
+_LOOK, _AGAIN, _QUIET, _EXTRA = 0.1, 1.0, 2.0, 0.005
 _NS = 1_000_000_000
 
 
@@ -102,10 +103,12 @@ class Topics:
                 self._begin(f"connect {sent}", reference)
                 self._send(0.0, reference[0], reference[0])
             self._spin(0.02)
-        # to each first state that has reached it there is an answer
-        quiet = time.monotonic() + (self._patience.answer if sent > 1 else 0.0)
-        while len(self._answers) < sent and time.monotonic() < quiet:
+        # it answers each first state that has reached it, or the last one of those that came together
+        there, since = len(self._answers), time.monotonic()
+        while there < sent and time.monotonic() < since + _QUIET:
             self._spin(_LOOK)
+            if len(self._answers) > there:
+                there, since = len(self._answers), time.monotonic()
         self._answers.clear()
         self._reset = self._found_reset()
 

@@ -21,6 +21,8 @@ def main(args: list[str] | None = None) -> int:
     stop: list[bool] = []
 
     def at_once(number: int, _frame: object) -> NoReturn:
+        # kept as well: where a library takes up the exception, the node ends by itself when it runs
+        stop.append(True)
         _heed(signal.SIG_IGN)
         raise _Stopped(number)
 

@@ -44,7 +44,9 @@ def run(folder: Path, count: int, seed: int, _cold: bool) -> Iterator[tuple[str,
         if state is not None:
             first.append(state)
         words = "none yet" if state is None else f"after {state:.2f} s"
-        held = end <= _END and (state is None or state <= _FIRST_STATE) and "Traceback" not in node.errors
+        # before the first line of the program the interpreter itself says what interrupted it
+        ours = "Traceback" in node.errors and "puma_sim" in node.errors
+        held = end <= _END and (state is None or state <= _FIRST_STATE) and not ours
         yield (
             f"first state {words}; SIGINT at {moment:.2f} s: ended in {end:.3f} s, status {node.process.returncode}",
             held,
