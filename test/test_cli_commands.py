@@ -108,6 +108,9 @@ def test_a_listed_effect_has_its_equation_units_bounds_and_an_option_that_works(
 def test_what_cannot_be_listed_is_refused(tmp_path, capsys):
     assert call("list", "magic") == 2
     assert "'magic' is not known; expected a parameter file, or one of those of" in capsys.readouterr().err
+    # the beginning of a name is near, however much is missing
+    assert call("list", "coulo") == 2
+    assert "or coulomb_friction, which is near, or another of" in capsys.readouterr().err
     (tmp_path / "bad.yaml").write_text("name: 1\n")
     assert call("list", tmp_path / "bad.yaml") == 2
     assert "bad.yaml" in capsys.readouterr().err
@@ -295,6 +298,17 @@ def test_a_log_is_drawn_the_same_each_time(kind, begin, tmp_path):
         assert call("plot", log, "--plant", "pendulum", "--out", path) == 0
     assert paths[0].read_bytes().startswith(begin)
     assert paths[0].read_bytes() == paths[1].read_bytes()
+
+
+def test_a_picture_has_the_name_of_its_log_and_replaces_nothing(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    volts = random_volts(tmp_path / "volts.csv", rows=30)
+    assert call("simulate", volts, "--out", "run.csv", "--quiet") == 0
+    assert call("plot", "run.csv") == 0
+    assert (tmp_path / "run.png").read_bytes().startswith(b"\x89PNG")
+    assert "run.png" in capsys.readouterr().err
+    assert call("plot", "run.csv") == 2
+    assert "run.png: is there already" in capsys.readouterr().err
 
 
 def test_a_shell_completes_the_line(tmp_path):

@@ -104,6 +104,19 @@ def test_files_that_are_not_there_are_named(tmp_path, assert_refused):
     out = tmp_path / "run.csv"
     assert_refused("simulate", tmp_path / "no.csv", "--out", out, says=["no.csv: cannot be read"])
     assert_refused("simulate", tmp_path, "--out", out, says=[f"{tmp_path}: cannot be read"])
+    (tmp_path / "volts.csv").write_text(GOOD)
+    for command in ("simulate", "explain", "plot", "view"):
+        words = (command, tmp_path / "vols.csv", *(() if command == "view" else ("--out", tmp_path / "run.png")))
+        assert_refused(
+            *words, says=[f"vols.csv: cannot be read (No such file or directory); expected a file; {tmp_path}"]
+        )
+
+
+def test_what_cannot_be_used_ends_the_command_before_anything_is_compiled(tmp_path, volts):
+    words = ("simulate", volts, "--out", tmp_path / "run.csv", "--effect", "coulom_friction:joint=1")
+    process = puma_sim(*words, PUMA_SIM_KERNEL="auto", NUMBA_CACHE_DIR=str(tmp_path))
+    assert process.returncode == 2 and len(process.stderr.splitlines()) == 1, process.stderr
+    assert not [*tmp_path.rglob("*.nbi"), *tmp_path.rglob("compiled-log")]
 
 
 @pytest.mark.parametrize("cut", range(1, 8))

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from cli_support import call
@@ -15,8 +16,11 @@ from puma_sim_core.identify.result import Agreement
 
 
 @pytest.fixture
-def asked(monkeypatch):
-    """What the analysis was asked for; it gives `asked["gives"]`."""
+def asked(monkeypatch, tmp_path_factory):
+    """What the analysis was asked for, in a folder with logs that it does not read; it gives `asked["gives"]`."""
+    monkeypatch.chdir(tmp_path_factory.mktemp("logs"))
+    for name in "abcd":
+        Path(f"{name}.csv").touch()
     seen = {"gives": named()}
 
     def explain(

@@ -8,9 +8,11 @@ voltages jump between rows by up to 24 V. On these runs RK4 in steps of 28/30 ms
 
 from __future__ import annotations
 
+import fcntl
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ from arm_reference import START, VISCOUS, plant_of, right_hand_side
 from cli_support import HEADER, ROOT, call, contents, puma_sim, random_volts, read_run, states, triple, write_volts
 from scipy.integrate import solve_ivp
 
+from puma_sim_core import jit
 from puma_sim_core.plant.model_file import dump_model
 from puma_sim_core.recording.recording import read_csv
 from puma_sim_core.simulation.run_inputs import GREATEST_STEP
@@ -168,6 +171,22 @@ def test_reruns_are_byte_equal_in_other_processes_and_with_both_kernels(volts, t
         written.add(out.read_bytes())
     assert len(written) == 1
     assert "python kernel" in done.stderr
+
+
+@pytest.mark.skipif(jit.BACKEND != "numba", reason="there is nothing to compile")
+def test_from_a_cold_cache_a_run_compiles_nothing_by_itself(volts, tmp_path, monkeypatch):
+    """While another process, which this test plays, has the lock of the cache."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
+    (tmp_path / "cache").mkdir()
+    folder = Path(jit.cache_directory())
+    with open(folder / "compiled-lock", "a") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        for number, words in enumerate([(), ("--restart", 0.1)]):
+            source = tmp_path / "0.csv" if words else volts
+            out = tmp_path / f"{number}.csv"
+            done = puma_sim("simulate", source, *words, "--out", out, "--limits", "off", PUMA_SIM_KERNEL="auto")
+            assert "simulated by the python kernel" in done.stderr, done.stderr
+    assert not list(folder.rglob("*.nbi"))
 
 
 def test_the_summary_says_rows_seconds_and_kernel(volts, tmp_path, capsys):

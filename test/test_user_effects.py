@@ -221,14 +221,13 @@ def test_an_entry_point_of_another_package_is_an_effect(tmp_path):
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    "file, effect, joint",
-    [
-        (COGGING, "motor_cogging:joint=3,amplitude=2.5,order=4,phase=1.0", 3),
-        (HYSTERESIS, "gear_hysteresis:joint=2,torque=9,travel=0.04", 2),
-    ],
+    "effect, joint",
+    [("motor_cogging:joint=3,amplitude=2.5,order=4,phase=1.0", 3), ("gear_hysteresis:joint=2,torque=9,travel=0.04", 2)],
 )
-def test_explain_names_an_effect_of_a_user(tmp_path, file, effect, joint):
-    """The whole way: volts that move all joints, a run with the effect, its name from the log."""
+def test_explain_names_an_effect_of_a_user(tmp_path, effect, joint):
+    """The whole way: volts that move all joints, a run with the effect, its name from the log; both files are known, so
+    that one is told from the other."""
+    files = ("--effects", COGGING, "--effects", HYSTERESIS)
     name, log = effect.partition(":")[0], tmp_path / "log.csv"
     time = np.arange(0.0, 8.0, 0.005)
     tones = np.array([[0.9, 1.7, 3.1], [0.7, 1.5, 2.7], [0.8, 1.3, 2.3]])
@@ -246,7 +245,7 @@ def test_explain_names_an_effect_of_a_user(tmp_path, file, effect, joint):
     done = command(
         *("simulate", tmp_path / "volts.csv", "--out", run, "--initial", "0,-1.5,1.2", "--limits", "off"),
         *("--effect", "viscous_friction:joint=1,coefficient=5", "--effect", "viscous_friction:joint=2,coefficient=9"),
-        *("--effect", "viscous_friction:joint=3,coefficient=4", "--effects", file, "--effect", effect),
+        *("--effect", "viscous_friction:joint=3,coefficient=4", *files, "--effect", effect),
     )
     assert done.returncode == 0, done.stderr
     rows = np.genfromtxt(run, delimiter=",", names=True)
@@ -254,7 +253,7 @@ def test_explain_names_an_effect_of_a_user(tmp_path, file, effect, joint):
     columns = np.column_stack([time, volts, *measured])
     header = "time,voltage1,voltage2,voltage3,position1,position2,position3"
     np.savetxt(log, columns, delimiter=",", header=header, comments="", fmt="%.6f")
-    done = command("explain", log, "--effects", file, "--out", tmp_path / "report")
+    done = command("explain", log, *files, "--out", tmp_path / "report")
     assert done.returncode == 0, done.stderr
     report = json.loads((tmp_path / "report" / "report.json").read_text())
     assert [(found["name"], found["joint"]) for found in report["effects"]][:1] == [(name, joint)]

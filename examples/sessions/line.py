@@ -73,7 +73,7 @@ def run(out: Path, mode: str) -> None:
     out.mkdir(parents=True, exist_ok=True)
     print(
         "sim_node and external_controller, two processes over DDS: the arm moves down a vertical "
-        f"line ({mode}). This takes about 12 s.",
+        f"line ({mode}). This takes about 15 s, longer on a busy machine.",
         flush=True,
     )
     Compilation(lambda text: print(text, flush=True))

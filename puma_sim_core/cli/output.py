@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import logging
 import os
 import sys
@@ -41,6 +42,22 @@ def reporting(quiet: bool = False, verbose: bool = False) -> Iterator[None]:
 def add_force_argument(parser: argparse.ArgumentParser) -> None:
     """Declare --force, for `check_output` and folders of results."""
     parser.add_argument("--force", action="store_true", help="replace files that are there already")
+
+
+def check_input(path: str) -> None:
+    """Refuse, before anything slow is loaded, a file that is not there.
+
+    Raises RecordingError: names the path, and a file beside it whose name is near.
+    """
+    if os.path.exists(path):
+        return
+    folder, name = os.path.split(path)
+    try:
+        near = difflib.get_close_matches(name, os.listdir(folder or "."), n=1)
+    except OSError:
+        near = []
+    expected = f"a file; {os.path.join(folder, near[0])} is near" if near else "a file that is there"
+    raise RecordingError("cannot be read (No such file or directory)", where=path, expected=expected)
 
 
 def check_output(path: str, inputs: Iterable[str] = (), *, force: bool = False) -> None:

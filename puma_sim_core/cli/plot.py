@@ -1,9 +1,10 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Draw a log: positions, tracking error, voltages and currents over time, as far as it has them.
 
-SOURCE is a CSV, as simulate writes it and explain reads it, or a session (the bag of a sim_node).
+SOURCE is a CSV, as simulate writes it and explain reads it, or a session (the bag of a sim_node). Without --out the
+picture is SOURCE's name with .png, in the present folder.
 
-  puma-sim plot run.csv --out run.png
+  puma-sim plot run.csv
   puma-sim plot pendulum.csv --plant pendulum --out pendulum.svg
   puma-sim plot build/demo/bag --out session.pdf
 """
@@ -14,7 +15,7 @@ import argparse
 import os
 
 from puma_sim_core.cli.arguments import Command, add_columns_argument, column_names
-from puma_sim_core.cli.output import LOG, add_force_argument, check_output
+from puma_sim_core.cli.output import LOG, add_force_argument, check_input, check_output
 from puma_sim_core.errors import ParameterError
 
 #: kinds of pictures, by the ending of the file
@@ -24,7 +25,7 @@ _KINDS = (".png", ".svg", ".pdf")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("source", metavar="SOURCE", help="CSV or session")
-    parser.add_argument("--out", metavar="FILE", required=True, help=f"picture to write: {', '.join(_KINDS)}")
+    parser.add_argument("--out", metavar="FILE", help=f"picture to write: {', '.join(_KINDS)} (default SOURCE.png)")
     add_force_argument(parser)
     parser.add_argument("--setpoints", metavar="FILE", help="CSV with time and setpoint1..n")
     add_columns_argument(parser)
@@ -33,11 +34,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Read and draw; raises the errors of the package."""
-    kind = os.path.splitext(options.out)[1].lower()
+    check_input(options.source)
+    out = options.out or f"{os.path.splitext(os.path.basename(os.path.abspath(options.source)))[0]}.png"
+    kind = os.path.splitext(out)[1].lower()
     if kind not in _KINDS:
-        raise ParameterError(f"'{options.out}'", where="--out", expected=f"a name that ends in {' or '.join(_KINDS)}")
+        raise ParameterError(f"'{out}'", where="--out", expected=f"a name that ends in {' or '.join(_KINDS)}")
     inputs = [path for path in (options.source, options.setpoints, options.plant) if path is not None]
-    check_output(options.out, inputs, force=options.force)
+    check_output(out, inputs, force=options.force)
 
     from puma_sim_core.pages.drawing import save
     from puma_sim_core.plant.mechanism_file import load_mechanism
@@ -55,7 +58,8 @@ def run(options: argparse.Namespace) -> int:
         motion = sources.with_setpoints(motion, options.setpoints)
     for note in motion.notes:
         LOG.info("note: %s", note)
-    save(motion.figures(), options.out)
+    save(motion.figures(), out)
+    LOG.info(out)
     return 0
 
 

@@ -35,7 +35,15 @@ from puma_sim_core.cli.arguments import (
     number,
     plant_of,
 )
-from puma_sim_core.cli.output import LOG, Progress, add_force_argument, check_output, output_file, start_at_once
+from puma_sim_core.cli.output import (
+    LOG,
+    Progress,
+    add_force_argument,
+    check_input,
+    check_output,
+    output_file,
+    start_at_once,
+)
 from puma_sim_core.errors import LimitError, NonFiniteStateError, ParameterError, RecordingError
 
 if TYPE_CHECKING:
@@ -91,24 +99,23 @@ def run(options: argparse.Namespace) -> int:
     """Simulate, write, and sum up on standard error; raises the errors of the package."""
     begin, columns = time.perf_counter(), column_names(options.columns)
     _check_combination(options)
+    check_input(options.file)
     check_output(options.out, [options.file, *input_files(options)], force=options.force)
 
-    start_at_once()
     from puma_sim_core.jit import kernel_in_use
     from puma_sim_core.recording.recording import read_csv, write_rows
     from puma_sim_core.simulation.windows import run_windows
 
-    simulator = _simulator(options)
-    plant, joints = simulator.plant, simulator.plant.joints
-    start = _start(options, plant)
-    limits = _limits(options, simulator)
-    if options.restart is None:
-        log = read_csv(options.file, joints=joints, columns=columns)
-        simulator.reset(**start, time=log.time[0])
-    else:
-        interval = number(options.restart, "--restart")
-        log = read_csv(options.file, ("voltage", "position"), ("velocity", "current"), joints, columns)
+    plant = plant_of(options)
+    interval = None if options.restart is None else number(options.restart, "--restart")
+    start, limits = _start(options, plant), _limits(options, plant)
+    required, optional = (("voltage",), ()) if interval is None else (("voltage", "position"), ("velocity", "current"))
+    log = read_csv(options.file, required, optional, plant.joints, columns)
     _check_last_line(options.file)
+    start_at_once()  # before anything of the kernel runs; most that cannot be used has ended the command by now
+    simulator = _simulator(options, plant)
+    if interval is None:
+        simulator.reset(**start, time=log.time[0])
     span = float(log.time[-1]) - float(log.time[0])
     if not span < _MOST_STEPS * simulator.max_step:
         expected = f"times in seconds, fewer than {_MOST_STEPS:g} steps"
@@ -116,7 +123,7 @@ def run(options: argparse.Namespace) -> int:
     with Progress() as progress:
         errors = None
         try:
-            if options.restart is None:
+            if interval is None:
                 result = _run(simulator, log, limits.acceleration is not None, progress)
             else:
                 result, errors = run_windows(
@@ -160,13 +167,12 @@ def _check_combination(options: argparse.Namespace) -> None:
                 raise ParameterError(what, expected="--limits report or error")
 
 
-def _simulator(options: argparse.Namespace) -> Simulator:
+def _simulator(options: argparse.Namespace, plant: Plant) -> Simulator:
     from puma_sim_core.simulation.run_inputs import check_step
     from puma_sim_core.simulation.simulator import SERVO_PERIOD, Simulator
 
     text, option = options.max_step, "--max-step"
     step = SERVO_PERIOD if text is None else check_step(number(text, option), option)
-    plant = plant_of(options)
     return Simulator(plant, constraints=_constraints(options.constrain, plant.joints), max_step=step)
 
 
@@ -202,10 +208,10 @@ def _start(options: argparse.Namespace, plant: Plant) -> dict[str, tuple[float, 
     }
 
 
-def _limits(options: argparse.Namespace, simulator: Simulator) -> Limits:
+def _limits(options: argparse.Namespace, plant: Plant) -> Limits:
     from puma_sim_core.simulation.conditions import Limits
 
-    joints, rad = simulator.plant.joints, simulator.plant.position_unit
+    joints, rad = plant.joints, plant.position_unit
 
     def greatest(name: str, unit: str) -> tuple[float, ...] | None:
         text, option = getattr(options, name), f"--{name.replace('_', '-')}"
@@ -214,7 +220,7 @@ def _limits(options: argparse.Namespace, simulator: Simulator) -> Limits:
             raise ParameterError(f"'{text}'", where=option, expected="no number below 0")
         return values
 
-    ranges = None if options.limits == "off" else simulator.plant.arm.joint_ranges[:joints]
+    ranges = None if options.limits == "off" else plant.arm.joint_ranges[:joints]
     return Limits(ranges, greatest("max_velocity", f"{rad}/s"), greatest("max_acceleration", f"{rad}/s^2"), rad)
 
 

@@ -27,7 +27,7 @@ from puma_sim_core.cli.arguments import (
     positive_number,
     whole_number,
 )
-from puma_sim_core.cli.output import LOG, add_force_argument, check_output, output_file, start_at_once
+from puma_sim_core.cli.output import LOG, add_force_argument, check_input, check_output, output_file, start_at_once
 from puma_sim_core.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -58,6 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Serve until Ctrl-C, or write the page; raises the errors of the package."""
+    check_input(options.source)
     if options.export is not None:
         inputs = [options.source, options.setpoints, options.model]
         check_output(options.export, [path for path in inputs if path is not None], force=options.force)

@@ -29,7 +29,7 @@ from puma_sim_core.cli.arguments import (
     column_names,
     whole_number,
 )
-from puma_sim_core.cli.output import Progress, add_force_argument, start_at_once
+from puma_sim_core.cli.output import Progress, add_force_argument, check_input, start_at_once
 from puma_sim_core.errors import ParameterError
 
 #: exit status of a log that was read and cannot be used
@@ -88,6 +88,8 @@ def run(options: argparse.Namespace) -> int:
     if not options.json:
         inputs = [*options.logs, *options.held_out, options.plant, options.parameters, options.model]
         check_folder(options.out, [path for path in inputs if path is not None], force=options.force)
+    for path in (*options.logs, *options.held_out):
+        check_input(path)
     from puma_sim_core.identify import explain
 
     start_at_once(patient=True)
