@@ -72,7 +72,9 @@ def one_of(name: object, known: Iterable[object], listed: str | None = None) -> 
     where something else, `listed`, has all of them.
     """
     names = list(map(str, known))
-    near = difflib.get_close_matches(str(name), names, n=2)
+    # the beginning of a name is near, however much is missing
+    begun = [each for each in names if name and each.startswith(str(name))]
+    near = begun[:2] or difflib.get_close_matches(str(name), names, n=2)
     if listed is None or len(names) <= LISTED:
         first = [] if _equally_near(str(name), near) else near[:1]
         return f"one of {', '.join([*first, *(each for each in names if each not in first)])}"

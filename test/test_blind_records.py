@@ -282,6 +282,16 @@ def test_limits_and_stops_are_drawn_relative_to_the_motion():
     assert min(stiffness) < 50.0 and max(stiffness) > 8000.0
 
 
+def test_a_limit_that_holds_its_load_in_no_motion_is_drawn_again(tmp_path, monkeypatch):
+    tried = []
+    in_range = generate.Rig.in_range
+    monkeypatch.setattr(generate.Rig, "in_range", lambda rig, run: tried.append(rig) or in_range(rig, run))
+    # 5.6 kg on the forearm, and a joint 2 that cannot carry it
+    (recipe,) = [each for each in records.plan("case", 2400, 40, turn=2400) if each.seed == 2417]
+    _, answer = generate.make(recipe, tmp_path)
+    assert len(tried) > generate._MOTIONS and {e["name"] for e in answer["effects"]} == set(dict(recipe.effects))
+
+
 def test_the_gain_of_an_oscillating_loop_is_about_the_critical_one():
     """The loop's own phase, evaluated on a grid: -180 degrees where its gain is between 1 / 0.9 and 1 / 1.5."""
     for seed, delay in ((1, 2e-3), (2, 4e-3), (3, 8e-3)):

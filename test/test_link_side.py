@@ -155,7 +155,7 @@ def test_evidence_is_the_sum_of_normal_densities_over_all_noises():
 # ------------------------------------------------------------------------------------------- what is named
 
 
-@pytest.mark.parametrize("late", [0.003, -0.002])
+@pytest.mark.parametrize("late", [0.003, pytest.param(-0.002, marks=pytest.mark.long)])
 def test_a_reading_that_is_late_is_named_with_its_sensor(late):
     (side,) = compare([made(late=late)], transmission(), 0)
     assert names(side) == ["sensor_lag"]

@@ -297,8 +297,9 @@ def test_column_is_the_torque_that_the_gear_takes(joint):
     run = recorded(str(Effect(KINDS[NAME], joint + 1, {"coefficient": mu, "transmitted": 1.0})))
     signals = signals_of(run.time, run.voltage, run.position, run.velocity, run.acceleration)
     found = {c.grid["transmitted"]: c for c in KINDS[NAME].screening.candidates(signals, joint)}
+    mesh = mesh_share(signals, joint)
     # joint 1 bears no weight
-    assert set(found) == ({1.0} if joint == 0 else {0.0, 1.0})
+    assert set(found) == ({mesh, 1.0} if joint == 0 else {0.0, mesh, 1.0})
     taken = (run.current * torque_per_ampere() - signals.torque)[:, joint]
     sliding = np.abs(signals.velocity[:, joint]) > 0.01
     columns = {a: c.columns[0][joint][sliding] for a, c in found.items()}
@@ -310,6 +311,52 @@ def test_column_is_the_torque_that_the_gear_takes(joint):
     assert left.get(0.0, 1.0) > 5.0 * left[1.0]
     assert found[1.0].values([mu]) == {"coefficient": mu, "transmitted": 1.0}
     assert KINDS[NAME].parameter("transmitted").role is Role.STRUCTURE
+
+
+def mesh_share(signals, joint):
+    links = signals.link_inertia[:, joint].mean()
+    return links / (links + signals.motor_inertia[joint])
+
+
+@pytest.mark.parametrize("drive", ["voltage", "current"])
+def test_one_of_its_columns_is_the_load_of_the_mesh(drive):
+    """What the teeth bear is what the motor gives less what speeds up its rotor."""
+    bare = load_mechanism("pendulum")
+    plant = pendulum(drive)
+    mechanism = type(bare).of(plant.body, plant.effects)
+    time = np.arange(0.0, 2.0, 1e-3)
+    volts = 2.5 * np.sin(6.0 * time[:, None]) + 1.5 * np.sin(17.0 * time[:, None])
+    simulator = Simulator(plant)
+    simulator.reset([0.2])
+    run = simulator.run(time, volts, acceleration=True)
+    signals = pendulum_signals(mechanism, run, volts)
+    found = {c.grid["transmitted"]: c.columns[0][0] for c in KINDS[NAME].screening.candidates(signals, 0)}
+    rotor = signals.torque - signals.viscous * signals.velocity - signals.motor_inertia * signals.acceleration
+    mesh = np.abs(rotor[:, 0])
+    share = mesh_share(signals, 0)
+    assert 0.5 < share < 0.9
+    left = {a: float(np.abs(np.abs(column) - mesh)[100:-100].max()) for a, column in found.items()}
+    assert left[share] < 0.02 * mesh.max() < 0.1 * min(left[0.0], left[1.0])
+
+
+def test_the_share_of_the_mesh_is_by_the_start_values():
+    """A log of the geared pendulum stretched its rotor's inertia by 30 deviations where friction was missing."""
+    from puma_sim_core.identify.data.log import Log
+    from puma_sim_core.identify.data.sampling import sample
+    from puma_sim_core.identify.screening.problem import Problem
+
+    mechanism = load_mechanism("pendulum")
+    time = np.arange(0.0, 4.0, 5e-3)
+    volts = 2.6 * np.sin(4.0 * time[:, None])
+    simulator = Simulator(mechanism.plant())
+    simulator.reset([0.1])
+    problem = Problem(sample([Log("made", time, volts, simulator.run(time, volts).position)]), mechanism)
+    shares = []
+    for theta in (mechanism.start, mechanism.clip(mechanism.start + 30.0 * mechanism.deviations)):
+        found = KINDS[NAME].screening.candidates(problem.signals(theta), 0)
+        shares.append(sorted(c.grid["transmitted"] for c in found))
+    assert shares[0] == shares[1]
+    assert shares[0][1] == pytest.approx(0.0049 / INERTIA, rel=1e-6)
 
 
 def test_known_friction_by_torque_accounts_for_its_voltage():

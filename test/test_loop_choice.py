@@ -18,10 +18,9 @@ from puma_sim_core.identify.fitting.trials import Trial, Trials, tied
 from puma_sim_core.identify.residuals.unnamed import Explained, curve_preferred
 from puma_sim_core.identify.screening.evidence import Scored
 from puma_sim_core.identify.selection.elimination import Elimination
-from puma_sim_core.identify.selection.noise_choice import noise_refused, squares_of_pieces
 from puma_sim_core.identify.selection.selection import Selection, in_both
 from puma_sim_core.identify.selection.state import Chosen, SelectionState, Stage
-from puma_sim_core.identify.settings import SELECTION
+from puma_sim_core.identify.settings import FITTING, SELECTION
 from puma_sim_core.plant.mechanism_file import load_mechanism
 
 A, B = ("coulomb_friction", 1), ("impulse", 2)
@@ -223,41 +222,6 @@ def test_a_wave_is_no_longer_than_its_joint_can_go(period, refused):
 
 
 @pytest.mark.parametrize(
-    "before, after, wanted",
-    [
-        ([1.0, 1.0, 1.0], [1.1, 1.0, 1.0], True),
-        ([1.0, 1.0, 1.0], [1.0, 1.0, 1.0], False),
-        # a joint far noisier than the others counts as one of three
-        ([1.0, 1.0, 95.0], [0.95, 0.95, 100.0], False),
-        # a share that decides nothing
-        ([1.0, 1.0, 1.0], [1.02, 1.02, 1.02], False),
-        ([0.0, 0.0], [0.0, 0.0], False),
-    ],
-)
-def test_a_noise_is_refused_where_the_joints_speak_against_it(before, after, wanted):
-    assert noise_refused(np.tile(before, (6, 1)), np.tile(after, (6, 1))) is wanted
-
-
-def test_a_noise_is_not_refused_by_chance():
-    rng, refused = np.random.default_rng(2), 0
-    for _ in range(1000):
-        before = rng.chisquare(10.0, (6, 3)) / 10.0
-        refused += noise_refused(before, before + rng.normal(0.0, 0.3, (6, 3)))
-    assert refused < 50  # 2.5 % by Student's t
-    before = rng.chisquare(10.0, (6, 3)) / 10.0
-    assert noise_refused(before, 2.0 * before)
-
-
-def test_pieces_of_the_rows_that_count_are_squared_by_themselves():
-    volts, rows = np.arange(1.0, 21.0)[:, None] * [1.0, 2.0], np.zeros(20, dtype=bool)
-    rows[2:12] = rows[15:18] = True
-    found = squares_of_pieces(volts, rows, step=SELECTION.noise_piece / 5.0)
-    assert found[:, 0].tolist() == [27.0, 102.0, np.mean(np.square([16.0, 17.0, 18.0]))]
-    assert np.array_equal(found[:, 1], 4.0 * found[:, 0])
-    assert squares_of_pieces(volts, ~rows & False, 1e-3).shape == (0, 2)
-
-
-@pytest.mark.parametrize(
     "gains, threshold, others, other, named",
     [
         ((30.0, 20.0), 16.0, (25.0, 40.0), 16.0, (True, True)),
@@ -280,22 +244,22 @@ def test_a_gain_in_two_noises_is_one_that_holds_in_both(gains, threshold, others
         assert one.gain <= min(own, value)
 
 
-def test_a_further_name_must_reach_a_share_of_what_the_first_gained_at_its_joint():
-    first = replace(trial(A, 1000.0), fitted=fitted())
-    before = np.zeros((4, 3))
-    before[:, 0], before[:, 1] = np.sqrt(2.0 * 900.0 / 4), np.sqrt(2.0 * 100.0 / 4)
-    rows = np.ones((4, 3), dtype=bool)
-    rows[3, 1] = False
-    model = replace(first.fitted, errors=np.zeros((4, 3)))
-    named = Stage((first,), 16.0, replace(fitted(), errors=before), replace(first, fitted=model))
-    gains = Selection._gains(SimpleNamespace(predictor=SimpleNamespace(fit_rows=rows)), named)
-    # a row that is not fitted says nothing; a joint where little was gained counts for a part
-    assert gains == pytest.approx({None: 1000.0, 1: 900.0, 2: 200.0, 3: 200.0})
-    stage = Stage((), 4.0, None, first=gains)
-    assert [stage.needed(joint) for joint in (None, 1, 3)] == pytest.approx([15.0, 13.5, 4.0])
-    assert [stage.needed_untried(joint) for joint in (None, 1, 3)] == pytest.approx([30.0, 27.0, 25.0])
-    alone = Stage((), 16.0, None)
-    assert alone.needed(1) == 16.0 and alone.needed_untried(None) == 25.0
+@pytest.mark.parametrize(
+    "gain, validation_gain, named",
+    [(30.0, 10.0, True), (15.0, 10.0, False), (30.0, -1.0, False), (30.0, FITTING.untried, True), (20.0, 1.5, False)],
+)
+def test_a_further_name_needs_what_chance_and_misfit_ask_whatever_the_first_one_gained(gain, validation_gain, named):
+    """A limit that the drive is held at gains hundreds of thousands of nat, since the model without it is far off; a
+    payload beside it has what its inertia and weight show."""
+    first = trial(("current_limit", 3), 284632.0)
+    further = trial(("payload", None), gain, validation_gain=validation_gain)
+    state = state_of([Stage((first,), 48.0, fitted(), first)], first)
+    chooser = SimpleNamespace(
+        _threshold=lambda state: (SELECTION.least_gain, 1.0), _parsimonious=lambda best, trials, scatter: best
+    )
+    stage = Selection.decide(chooser, replace(state, trials=(further,))).history[-1]
+    assert (stage.accepted is not None) == named
+    assert (stage.threshold, stage.threshold_untried) == (SELECTION.least_gain, SELECTION.least_untried)
 
 
 def test_effects_that_one_contains_are_those_tried_beside_it():
@@ -370,6 +334,12 @@ def test_effects_whose_trials_had_not_come_to_their_end_are_fitted_to_it(ends, i
 )
 def test_a_tie_is_a_difference_that_the_log_cannot_show(best, other, wanted):
     assert tied(trial(A, best), trial(B, other)) is wanted
+
+
+def test_a_tie_is_as_wide_as_what_the_model_misfits():
+    near, far = trial(B, 100.0 - 15.0), trial(B, 100.0 - 17.0)
+    assert tied(trial(A, 100.0), near, 2.0) and not tied(trial(A, 100.0), near)
+    assert not tied(trial(A, 100.0), far, 2.0)
 
 
 def test_what_more_of_makes_less_of_an_effect_is_not_too_much():

@@ -8,6 +8,7 @@ import os
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,6 +22,8 @@ from puma_sim_core.effects import parse_effect
 from puma_sim_core.identify.checks.gate import check
 from puma_sim_core.identify.data.ingest import read_log
 from puma_sim_core.identify.data.log import Log
+from puma_sim_core.identify.explain import Stages
+from puma_sim_core.identify.result import Fault
 from puma_sim_core.plant.mechanism_file import load_mechanism
 
 pytestmark = pytest.mark.long
@@ -248,6 +251,15 @@ def test_channels_that_are_not_what_they_are_called():
             assert named(faulty) == expected, (joint, expected)
 
 
+def test_millivolts_of_one_joint_beside_others_that_are_explained_to_the_last():
+    """The others have next to nothing left, and need not lose any of it."""
+    log = record(4, waves(4), noise=0.0, theta=PUMA.start)
+    for joint in (1, 2, 3):
+        faulty = put(log, f"voltage{joint}", slice(None), lambda v: 1e3 * v)
+        (found,) = check(faulty, PUMA).faults
+        assert found.channel == f"voltage{joint}" and "millivolts" in found.what
+
+
 def test_units_of_all_channels_offsets_and_other_plants():
     log = base("1 kHz")
     angles, volts = ({f"{group}{j}": None for j in (1, 2, 3)} for group in ("position", "voltage"))
@@ -319,3 +331,14 @@ def test_machines_of_one_joint(mechanism, amplitude):
     if mechanism is PENDULUM:
         degrees = put(log, "position1", slice(None), np.degrees)
         assert named(degrees, mechanism) == {"position1": None}
+
+
+@pytest.mark.parametrize("left, lifted", [(0.03, True), (30.0, False)])
+def test_a_doubt_about_a_voltage_that_stays_at_its_limit_is_lifted_by_a_model_that_explains_it(left, lifted):
+    """Its changes say nothing of its size: there are none."""
+    rows, doubt = np.ones((50, 1), dtype=bool), Fault.of("voltage1", None, "unexplained", "a log of the machine")
+    stretch = SimpleNamespace(voltage=np.full((51, 1), 40.0))
+    predictor = SimpleNamespace(stretches=[stretch], fit_rows=rows, friction_volts=np.array([0.7]))
+    stages = SimpleNamespace(predictor=predictor, _volts=lambda point: np.full((50, 1), left))
+    state = SimpleNamespace(chosen=("a limit",), model=SimpleNamespace(point=None))
+    assert Stages.unexplained(stages, state, [doubt]) == ([] if lifted else [doubt])

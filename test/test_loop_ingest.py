@@ -7,6 +7,7 @@ import gzip
 import subprocess
 import sys
 import tracemalloc
+import warnings
 
 import cli_support as cli
 import numpy as np
@@ -213,6 +214,12 @@ def test_the_step_of_an_encoder(step, digits):
     q = np.round(q / step) * step if step else q
     q = np.array([float(f"{value:.{digits}g}") for value in q])
     assert encoder_step(q) == pytest.approx(step, rel=1e-4)
+
+
+def test_changes_of_all_sizes_show_no_encoder_and_no_warning():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert encoder_step(np.cumsum([1.0, 5.0, *np.arange(10.0, 108.0)])) == 0.0
 
 
 # -- bags -----------------------------------------------------------------------------------------

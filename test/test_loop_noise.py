@@ -15,6 +15,7 @@ from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.noise import innovations
 from puma_sim_core.identify.noise.weighting import Weighting
 from puma_sim_core.identify.residuals import shape
+from puma_sim_core.identify.settings import FITTING
 from puma_sim_core.plant.mechanism_file import load_mechanism
 from puma_sim_core.simulation.simulator import Simulator
 
@@ -158,3 +159,26 @@ def test_a_profile_is_the_interval_of_a_quadratic_and_wider_where_the_likelihood
         assert reach == pytest.approx(1.96 * spread, rel=0.15)
     _value, low, high = intervals.intervals(fit, found)[0, "voltage"]
     assert low < 0.0 < high, "nothing was there"
+
+
+@pytest.mark.parametrize("name, amplitude, friction", [("pendulum", 1.5, 0.02), ("puma560", 8.0, 5.0)])
+def test_a_log_of_few_rows_is_predicted_with_the_greatest_step_that_is_exact(name, amplitude, friction):
+    """A machine without windings needs fewer steps of integration than one with them; neither notices it."""
+    mechanism, rng = load_mechanism(name), np.random.default_rng(7)
+    time = np.arange(0.0, 10.0, 0.005)
+    shape = (len(time), mechanism.joints)
+    volts = amplitude * np.sin(np.linspace(2.0, 5.0, mechanism.joints) * time[:, None])
+    plant = mechanism.plant(mechanism.start, (parse_effect(f"coulomb_friction:joint=1,torque={friction}"),))
+    simulator = Simulator(plant, max_step=1e-4)
+    simulator.reset((0.1, -0.9, 1.1)[: mechanism.joints])
+    run = simulator.run(time, volts)
+    log = Log("own", time, volts, run.position + POSITION * rng.standard_normal(shape))
+    noise = np.full(mechanism.joints, POSITION)
+    predictor = Predictor([log], mechanism, [lambda t: t > 9.0], None, noise)
+    windings = max(motor.inductance for motor in plant.arm.motors) > 0.0
+    assert predictor.greatest_step == (FITTING.greatest_step_time if windings else max(FITTING.further_steps))
+    found = predictor.errors(plant)
+    predictor.greatest_step = 1e-4
+    exact = predictor.errors(plant)
+    change = np.sqrt(np.mean((found - exact) ** 2, axis=0))
+    assert np.all(change < 0.02 * np.array(predictor.spread))

@@ -1,14 +1,18 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
-"""Which hypotheses get a trial: pushes where the fitted model leaves them, and friction whatever the screening says."""
+"""Which hypotheses get a trial: pushes where the fitted model leaves them, friction and limits whatever the screening
+says."""
 
 from __future__ import annotations
 
 from types import SimpleNamespace
 
+import numpy as np
+import pytest
 from loop_logs import pieces, record
 
 from puma_sim_core.effects import KINDS, parse_effect
 from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
+from puma_sim_core.identify.fitting.trials import unseen
 from puma_sim_core.identify.prepare import library_of
 from puma_sim_core.identify.screening.causal import CausalScreen
 from puma_sim_core.identify.screening.evidence import Scored
@@ -56,3 +60,50 @@ def test_dry_friction_is_tried_where_anything_is_missing_and_none_is_in_the_mode
     assert tried([("joint_elasticity", 2)], [("stribeck_friction", 2)]) == set()
     start = short._common([Scored("joint_elasticity", 2, 5.0)], (), Screen())[0]
     assert start.values == {"torque": mechanism.torque_scale[1]}
+
+
+LIMIT, PLAY = "current_limit", "backlash"
+
+
+@pytest.mark.parametrize(
+    "volts, doubted, stretched, taken, keys, tried",
+    [
+        ([1.0, 1.0, 1.0], (), False, (), (), set()),
+        # a voltage that nothing coarse explains may be a limit's; play cannot make such a one
+        ([1.0, 1.0, 1.0], (3,), False, (), (), {(LIMIT, 3)}),
+        # parameters that went farther than their priors allow may have taken up that of any joint
+        ([1.0, 1.0, 1.0], (), True, ((LIMIT, 1),), (), {(LIMIT, 2), (LIMIT, 3)}),
+        # noise of a far noisier joint may be the impacts of play, too
+        ([1.0, 9.0, 1.0], (), False, (), (), {(LIMIT, 2), (PLAY, 2)}),
+        ([1.0, 9.0, 1.0], (2,), False, ((LIMIT, 2),), (), {(PLAY, 2)}),
+        # a joint with two masses already gets no others
+        ([1.0, 9.0, 1.0], (2,), False, (), ((PLAY, 2),), set()),
+    ],
+)
+def test_a_limit_is_tried_on_a_joint_whose_voltage_nothing_coarse_explains(
+    volts, doubted, stretched, taken, keys, tried
+):
+    search, predictor = SimpleNamespace(library=library_of(load_mechanism())), SimpleNamespace(expected=np.array(volts))
+    found = [*ShortList(search, predictor, None, doubted)._without_power(taken, keys, stretched)]
+    assert {scored.key for scored in found} == tried
+    # no gain promised anything: all derivatives are taken anew for a limit, whose level no slope shows
+    assert {scored.key for scored in found if unseen(scored)} == {key for key in tried if key[0] == LIMIT}
+
+
+def test_a_limit_that_was_screened_keeps_its_promise():
+    assert unseen(Scored(LIMIT, 1, 0.0)) and not unseen(Scored(LIMIT, 1, 0.0, best=object()))
+    assert not unseen(Scored(PLAY, 1, 0.0)) and not unseen(Scored("payload", None, 0.0))
+
+
+def test_what_contains_the_best_trials_is_asked_for_once():
+    short = ShortList(SimpleNamespace(library=KINDS), None, None)
+    coulomb, lag = ("coulomb_friction", 2), ("sensor_lag", 2)
+    richer = {kind.name for kind in KINDS.values() if "coulomb_friction" in kind.contains}
+    found = short.richer({coulomb: 200.0, lag: 20.0}, {coulomb, lag})
+    assert found and {joint for _, joint in found} == {2}
+    assert {kind.name for kind, _ in found} == richer - {kind for kind in richer if KINDS[kind].screening.generous}
+    # not what was tried, nor what contains a trial that gains little, or too little for a name
+    first, *others = found
+    assert short.richer({coulomb: 200.0, lag: 20.0}, {coulomb, lag, (first[0].name, 2)}) == others
+    assert not {kind.name for kind, _ in short.richer({coulomb: 20.0, lag: 200.0}, {coulomb, lag})} & richer
+    assert short.richer({coulomb: 10.0}, {coulomb}) == []

@@ -116,13 +116,19 @@ def test_derivatives_are_those_of_differences(name):
 
 
 def test_payload_torque_is_that_of_a_kilogram_more():
-    for name, z in (("puma560", 0.43), ("pendulum", 0.07), ("slide", 1.0)):
+    for name, at in (
+        ("puma560", (0.0, 0.0, 0.43)),
+        ("puma560", (0.1, -0.05, 0.43)),
+        ("pendulum", (0.0, 0.0, 0.07)),
+        ("slide", (0.0, 0.0, 1.0)),
+    ):
         bare = load_mechanism(name)
         q, qd, qdd = motion(bare.joints, 8)
-        load = (parse_effect(f"payload:mass=1,z={z}"),)
+        x, y, z = at
+        load = (parse_effect(f"payload:mass=1,x={x},y={y},z={z}"),)
         loaded = bare.of_plant(bare.plant(bare.start, load))
         difference = loaded.torque(loaded.start, q, qd, qdd) - bare.torque(bare.start, q, qd, qdd)
-        assert_allclose(bare.payload_torque(bare.start, z, q, qd, qdd), difference, atol=1e-12)
+        assert_allclose(bare.payload_torque(bare.start, at, q, qd, qdd), difference, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", NAMES)

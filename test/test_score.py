@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from functools import partial
 
 import pytest
 
@@ -335,3 +336,21 @@ def test_a_batch_goes_on_where_it_stopped(tmp_path, monkeypatch, capsys):
     assert len(summary["rows"]) == 4 and not summary["development"]
     monkeypatch.setattr(run.jobs, "fingerprint", lambda: "other code")
     assert run.main(given) == 0 and len(made) == 9
+
+
+def _failing(begun, wrong, recipe, folder, small):
+    (begun / str(recipe.seed)).touch()
+    if recipe.seed == wrong:
+        raise RuntimeError("cannot be made")
+    return outcome(answer(), report("NOTHING_MISSING"))
+
+
+def test_a_batch_of_several_processes_ends_at_an_error(tmp_path, monkeypatch):
+    """At the error, rather than when all that waits has been done."""
+    begun, first = tmp_path / "begun", plan.plan({"nothing": 40}, plan.FINAL_SEED)[0].seed
+    begun.mkdir()
+    monkeypatch.setattr(run.jobs, "work", partial(_failing, begun, first))
+    monkeypatch.setattr(run.jobs, "warm_up", lambda: None)
+    with pytest.raises(RuntimeError, match="cannot be made"):
+        run.main(["--only", "nothing=40", "--processes", "2", "--out", str(tmp_path / "score")])
+    assert 1 <= len(list(begun.iterdir())) < 40

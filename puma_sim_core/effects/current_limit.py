@@ -51,7 +51,9 @@ EFFECT = Kind(
     sentence="The amplifier holds the motor's current at its limit, and the voltage drops.",
     parameters=(Parameter("current", "A", 0.01, 1000.0, "imax", SIZE, (0.5, 20.0), neutral=inf, step=0.2),),
     laws=(Law(Point.CURRENT_RATE, limited_rate), Law(Point.CURRENT, clipped), Law(Point.CURRENT_BOUND, first)),
-    screening=Screening(current_limit, "Fast reversals, so that back-EMF and voltage add up.", fast=True),
+    screening=Screening(
+        current_limit, "Fast reversals, so that back-EMF and voltage add up.", fast=True, unseen=(("current", 3.0),)
+    ),
     drawn_against=("current", "torque"),
     example="current_limit:joint=2,current=3",
 )

@@ -44,12 +44,22 @@ def has_load_level(p: Table, k: int) -> bool:
 
 @when_moving
 def load_dependent(signals: Signals, joint: int) -> list[Candidate]:
-    """|load| sgn(qd), the load the torque of gravity or of the motor; the coefficient is mu."""
+    """|load| sgn(qd), the load the torque of gravity, of the motor, or of the mesh; the coefficient is mu.
+
+    What the mesh transmits is the motor's torque less that which speeds up the rotor, T - Ia qdd. With
+    (D + Ia) qdd = T - G this is G + a (T - G) with a = D/(D + Ia), D the inertia of the links. Both are by the start
+    values: friction that is missing may have stretched those of the model.
+    """
     gravity, direction = signals.gravity_torque[:, joint], direction_of(signals, joint)
+    if signals.mesh_share is None:
+        links, rotor = float(np.mean(signals.link_inertia[:, joint])), float(signals.motor_inertia[joint])
+        mesh = links / (links + rotor)
+    else:
+        mesh = float(signals.mesh_share[joint])
     # small servos have gears that pass on less than half
     most = _GREATEST_COEFFICIENT if is_arm(signals) else 1.0
     values = sized("coefficient", positive, "coefficient of load friction", "", most)
-    loads = {0.0: gravity, 1.0: gravity + (motor_torque(signals, joint) - gravity)}
+    loads = {share: gravity + share * (motor_torque(signals, joint) - gravity) for share in (0.0, mesh, 1.0)}
     return [
         candidate(on_joint(joint, np.abs(load) * direction), [0.1], [0.1], values, {"transmitted": share})
         for share, load in loads.items()
@@ -64,7 +74,8 @@ EFFECT = Kind(
     equation="tau = mu |G(q) + a (T - G(q))| sgn(qd), T = N kt i - H qd what the motor gives; at "
     "rest any torque up to that level is held",
     sentence="Dry friction of the gears that grows with the load they carry: the weight of the "
-    "pose (a = 0), the torque that they transmit (a = 1), or a mean of the two.",
+    "pose (a = 0), the torque of the motor (a = 1), or a mean of the two, such as what the teeth bear "
+    "(a = D/(D + Ia), the share of the links in the inertia).",
     parameters=(
         Parameter("coefficient", "1", 0.0, 1.0, "mu, of the load", SIZE, (0.02, 0.3)),
         Parameter(

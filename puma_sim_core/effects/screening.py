@@ -50,11 +50,14 @@ class Signals:
     quantum: np.ndarray  #: (J,) step of the encoder in `position`, 0.0 where none was found
     ranges: tuple[tuple[float, float], ...]  #: (low, high) of the joints
     gravity_tilt: np.ndarray | None = None  #: for arms, (n, J, 2): change of G per rad of base tilt about x and y
-    payload_torque: Callable[[float], np.ndarray] | None = None  #: for arms, z -> that of 1 kg at (0, 0, z) of link 3
+    #: for arms, place (x, y, z) [m] in the frame of link 3 -> torque of 1 kg there
+    payload_torque: Callable[[tuple[float, float, float]], np.ndarray] | None = None
     inertia: np.ndarray | None = None  #: (n, J, J) D(q) of the links; without it, joints do not shake each other
     #: (n, J, J) change of `torque` of joint i per rad of joint j, all else equal; without it, no offset is sought
     position_gradient: np.ndarray | None = None
     residual: np.ndarray | None = None  #: V - Vhat after the best explanation so far; without it, no impulse is sought
+    #: (J,) share of the links in the inertia by the start values; without it, by `link_inertia` and `motor_inertia`
+    mesh_share: np.ndarray | None = None
     torque_per_ampere: np.ndarray | None = None  #: (J,) N kt; without it, taken from `torque` and `current`
     library_sized: bool = False  #: of `Mechanism`: whether the sizes of the library's tables are the machine's own
 
@@ -95,7 +98,9 @@ class Screening:
     excitation: str  #: sentence on the motion that shows it
     size: str | None = None  #: parameter that tells what is detectable; None: the first one with a plausible range
     generous: float = 0.0  #: share of its evidence that a special case may lack: above 0 where it fits any single event
-    #: (parameter, value) pairs from which it is tried at a joint far noisier than others: its impacts may be that noise
+    #: (parameter, value) pairs from which it is tried where the screening has no power: at a joint far noisier than
+    #: others, whose noise may be impacts, and, with one mass, at one whose voltage nothing coarse explains, or at all
+    #: where parameters went beyond their priors (a limit)
     unseen: tuple[tuple[str, float], ...] = ()
     #: (values, nominal friction torque) -> (k, 3) array for the Occam factor: coordinates that are about independent on
     #: machines, with mean and standard deviation; None: it is taken by the candidates

@@ -107,10 +107,10 @@ def explain(
     parts = [part for each in checked for part in each.parts]
     if not faults and mechanism.links_known:
         is_compiled("identification")  # a program may wait here until it is
-        stages = Stages(prepare(parts, mechanism, progress), seed, progress, beside)
+        doubts = [doubt for each in checked for doubt in each.doubts]
+        stages = Stages(prepare(parts, mechanism, progress), seed, progress, beside, doubts)
         release()
         state = stages.select()
-        doubts = [doubt for each in checked for doubt in each.doubts]
         faults = wrong_zeros(state.history) or stages.unexplained(state, doubts)
     mechanism_of: dict[str, Any] = {"plant": plant, "parameters": parameters, "model": model}
     sides = () if faults else compare_sides(parts, mechanism, seed)
@@ -179,10 +179,16 @@ def usable(held_out: list[Log], mechanism: Mechanism) -> tuple[list[Log], list[s
 
 
 class Stages:
-    """The stages after the preparation of the logs; seed, progress and held_out as for `explain`."""
+    """The stages after the preparation of the logs; seed, progress and held_out as for `explain`; doubts : those of
+    the gate."""
 
     def __init__(
-        self, prepared: Prepared, seed: int, progress: Callable[[str, float], None], held_out: Sequence[Log] = ()
+        self,
+        prepared: Prepared,
+        seed: int,
+        progress: Callable[[str, float], None],
+        held_out: Sequence[Log] = (),
+        doubts: Sequence[Fault] = (),
     ):
         self.prepared = prepared
         #: logs outside the analysis with their predictor
@@ -192,7 +198,8 @@ class Stages:
         self.mechanism = prepared.problem.mechanism
         self.seed = seed
         self.progress = progress
-        short_list = ShortList(prepared.search, self.predictor, prepared.search.bank(prepared.retuned.theta))
+        bank, doubted = prepared.search.bank(prepared.retuned.theta), {_joint(doubt) for doubt in doubts}
+        short_list = ShortList(prepared.search, self.predictor, bank, doubted)
         self.selection = Selection(short_list, Trials(self.predictor, self.problem), prepared.library, seed, progress)
 
     def fit(self, state: SelectionState) -> PredictionFit:
@@ -216,10 +223,12 @@ class Stages:
         volts = np.concatenate([stretch.voltage[1:] for stretch in p.stretches])
         found = []
         for doubt in doubts:
-            j = int(doubt.channel[-1]) - 1
+            j = _joint(doubt) - 1
             own = volts[p.fit_rows[:, j], j]
             # means: a voltage that is clipped most of the time has a median deviation of zero
-            size = np.abs(own - own.mean()).mean()
+            # and one that is there all the time has no size of its own: as in the gate, that of friction counts
+            least = CHECKS.channel_another_floor * float(p.friction_volts[j])
+            size = max(float(np.abs(own - own.mean()).mean()), least)
             if not left[p.fit_rows[:, j], j].mean() < CHECKS.channel_another * size:
                 found.append(doubt)
         return found
@@ -272,7 +281,7 @@ class Stages:
             found = alike.get((kind.name, joint))
             causal = beside if found is None else alone
             pairs = [(c, causal.gram(c)) for c in candidates(kind, joint, causal.signals)]
-            row = detectable(kind, joint, pairs, state.history[-1].needed(joint), found)
+            row = detectable(kind, joint, pairs, state.history[-1].threshold, found)
             rows.append(replace(row, unit=self.mechanism.unit(row.unit)))
         return tuple(rows)
 
@@ -308,6 +317,11 @@ class Stages:
     def _floor(self, state: SelectionState) -> Floats:
         """(J,) noise of the residual [V], as the weighting of the innovations has it."""
         return self.predictor.floor_in_volts(self.problem.sampled.cutoffs[1], state.noise)
+
+
+def _joint(doubt: Fault) -> int:
+    """The joint (1-based) of a doubt about its channel."""
+    return int(doubt.channel[-1])
 
 
 def retracted(selection: Selection, state: SelectionState, folds: CrossValidation) -> SelectionState:

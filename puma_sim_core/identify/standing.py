@@ -108,11 +108,11 @@ def _beside(state: SelectionState, chosen: Chosen, trial: Trial) -> Standing:
         verdict = f"it contains {named}, which is enough"
     elif math.isnan(evidence):
         verdict = f"with all that was found in the model, {named} explains more"
-    elif not tied(replace(trial, gain=evidence), chosen.trial):
+    elif not tied(replace(trial, gain=evidence), chosen.trial, state.scatter):
         other = "too little of it acts in the validation set"
         why = "it does not lower the error on the validation set" if trial.validation_gain <= 0.0 else other
         verdict = f"{evidence - chosen.gain:.0f} nat more than {named}, but {why}"
-    elif tied(chosen.trial, replace(trial, gain=evidence)):
+    elif tied(chosen.trial, replace(trial, gain=evidence), state.scatter):
         verdict = TIED
     else:
         verdict = f"lower than {named} by {chosen.gain - evidence:.0f} nat"
@@ -128,8 +128,8 @@ def _added(state: SelectionState, stage: Stage, trial: Trial) -> Standing:
         verdict = trial.problem
     elif trial.key in state.retracted:
         verdict = "retracted: it does not lower the validation error, or a free curve leaves clearly less"
-    elif trial.gain <= stage.needed(trial.joint):
-        verdict = f"below the threshold of {stage.needed(trial.joint):.0f} nat"
+    elif trial.gain <= stage.threshold:
+        verdict = f"below the threshold of {stage.threshold:.0f} nat"
     elif trial.validation_gain <= 0.0:
         verdict = "it does not lower the error on the validation set"
     elif best is not None:

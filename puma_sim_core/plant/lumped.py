@@ -138,12 +138,12 @@ class LumpedMechanism(Mechanism):
         return result[:, self.layout.axes]
 
     def payload_torque(
-        self, theta: ArrayLike | None, z: float, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike
+        self, theta: ArrayLike | None, at: tuple[float, float, float], q: ArrayLike, qd: ArrayLike, qdd: ArrayLike
     ) -> np.ndarray:
-        """See `Mechanism.payload_torque`; on a slide z means nothing."""
-        z = float(z) if self.position_unit == "rad" else 1.0
+        """See `Mechanism.payload_torque`; on a slide the place means nothing."""
+        at = at if self.position_unit == "rad" else (0.0, 0.0, 1.0)
         nothing = Link(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-        load = with_point_mass(replace(self.arm, links=(nothing,) * 3), 1.0, 0.0, 0.0, z)
+        load = with_point_mass(replace(self.arm, links=(nothing,) * 3), 1.0, *at)
         return self._table(q, qd, qdd) @ self._constants(load)
 
     def link_jacobian(self, theta: ArrayLike | None, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> np.ndarray:

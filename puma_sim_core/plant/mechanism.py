@@ -195,9 +195,9 @@ class Mechanism(ABC):
         return None
 
     def payload_torque(
-        self, theta: ArrayLike | None, z: float, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike
+        self, theta: ArrayLike | None, at: tuple[float, float, float], q: ArrayLike, qd: ArrayLike, qdd: ArrayLike
     ) -> np.ndarray | None:
-        """(n, J) torque that 1 kg at (0, 0, z) of the last link takes, or None."""
+        """(n, J) torque that 1 kg at a place of the last link takes, (x, y, z) [m] in its frame, or None."""
         return None
 
     @abstractmethod

@@ -32,6 +32,8 @@ from blind.size import Sizes, measure
 #: how near (in ratio) the size of a record comes to what was asked for
 _NEAR = 1.2
 _TRIES = 6
+#: motions that are tried with the same effects, and how often these are drawn
+_MOTIONS, _DRAWS = 6, 4
 
 
 class Rig:
@@ -135,9 +137,10 @@ def make(recipe: records.Recipe, folder, check: bool = False) -> tuple[Path, dic
     """Writes the record of a recipe (and its check record) into `folder`: (path, answer)."""
     started = time.perf_counter()
     parameters = arm.wrong(recipe.random(2))
-    for attempt in range(6):
+    # a limit may not hold up a payload in any motion: then both are drawn again
+    for attempt in range(_MOTIONS * _DRAWS):
         rig = Rig(recipe, recipe.seed + 10_000_000 * attempt, parameters)
-        placed, outsider = _scaled_effects(recipe, rig)
+        placed, outsider = _scaled_effects(recipe, rig, attempt // _MOTIONS)
         plant = _plant(placed, outsider)
         run = rig.run(plant)
         if rig.in_range(run):
@@ -170,10 +173,13 @@ def _plant(placed, outsider) -> Plant:
     return plant
 
 
-def _scaled_effects(recipe, rig):
-    """Effects as (name, joint, parameters, size, distinct, strain), each scaled by itself, or drawn by its case."""
+def _scaled_effects(recipe, rig, again: int = 0):
+    """Effects as (name, joint, parameters, size, distinct, strain), each scaled by itself, or drawn by its case.
+
+    again : how often they were drawn before.
+    """
     placed, peaks = [], None
-    rng = recipe.random(5)
+    rng = recipe.random(5 + 10 * again)
     draw = cases.CASES[recipe.case].draw if recipe.case else {}
     for (name, joint), target in zip(recipe.effects, recipe.sizes):
         if name in draw:

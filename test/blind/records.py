@@ -22,7 +22,8 @@ VERSION = 2
 
 
 def random(seed: int, stream: int, version: int) -> np.random.Generator:
-    """A stream of numbers of a record; 1: its recipe, 2: parameters, 3: motion, 4: noise, 5: effects, 6, 7: faults."""
+    """A stream of numbers of a record; 1: its recipe, 2: parameters, 3: motion, 4: noise, 5: effects (15, 25: drawn
+    again), 6, 7: faults."""
     return np.random.default_rng([seed, stream] if version == 1 else [seed, stream, version])
 
 

@@ -29,7 +29,7 @@ _RUN = ("name", "role", "logs", "held_out", "spare", "expected", "reference", "v
 _RUN_OPTIONAL = ("held_out", "spare", "reference", "variants", "needs")
 _EXPECTED = ("verdicts", "names", "beside", "wrong", "others_wrong", "sizes", "sure", "words", "note")
 _SIZE = ("of", "value", "tolerance", "intervals", "unit", "source", "sure")
-_REFERENCE = ("value", "unit", "measure", "source", "computed", "seconds", "logs")
+_REFERENCE = ("value", "unit", "measure", "source", "computed", "seconds", "cutoff", "logs")
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,8 @@ class Expected:
 @dataclass(frozen=True)
 class Reference:
     """The best published or reference error; computed : the measure of ours that is comparable (see `MEASURES`), over
-    windows of so many seconds and over other logs than the fitted ones where they are given."""
+    windows of so many seconds, at a cutoff [Hz] as it was, and over other logs than the fitted ones where they are
+    given."""
 
     value: float
     unit: str
@@ -97,6 +98,7 @@ class Reference:
     source: str
     computed: str | None = None
     seconds: float | None = None
+    cutoff: float | None = None
     logs: tuple[Log, ...] = ()
 
 
@@ -254,7 +256,7 @@ def _size(reader: Reader, at: str, entry: Any) -> Size:
 def _reference(reader: Reader, at: str, folder: str, entry: Any) -> Reference | None:
     if entry is None:
         return None
-    reader.keys(entry, at, _REFERENCE, optional=("computed", "seconds", "logs"))
+    reader.keys(entry, at, _REFERENCE, optional=("computed", "seconds", "cutoff", "logs"))
     if "computed" in entry:
         reader.choice(entry["computed"], f"{at}.computed", MEASURES)
     return Reference(
@@ -264,6 +266,7 @@ def _reference(reader: Reader, at: str, folder: str, entry: Any) -> Reference | 
         source=reader.text(entry["source"], f"{at}.source", 1),
         computed=entry.get("computed"),
         seconds=entry.get("seconds"),
+        cutoff=entry.get("cutoff"),
         logs=tuple(_log(reader, f"{at}.logs", folder, each) for each in entry.get("logs", ())),
     )
 

@@ -106,7 +106,8 @@ class Job:
 
 def _computed(reference: Reference) -> dict[str, Any]:
     """What of a reference our own error depends on."""
-    return {name: value for name, value in asdict(reference).items() if name in ("computed", "seconds", "logs")}
+    asked = ("computed", "seconds", "cutoff", "logs")
+    return {name: value for name, value in asdict(reference).items() if name in asked}
 
 
 def _size(data: str, log: Log) -> int:
@@ -138,7 +139,7 @@ def work(job: Job) -> dict[str, Any]:
             report = report_mapping(explanation)
             outcome |= {"report": _short(report), "seconds": round(explanation.seconds, 1)}
             others = [str(as_file(Log(**log), job.data, _time(columns), folder)) for log in _reference_logs(job)]
-            outcome["ours"] = measured(job.reference, explanation, report, others or logs, columns)
+            outcome["ours"] = measured(job.reference, explanation, others or logs, columns)
         except PumaSimError as error:
             outcome["error"] = str(error)
         except Exception:  # anything else is a defect, and is shown as one

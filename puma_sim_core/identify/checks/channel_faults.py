@@ -109,8 +109,9 @@ def _best(model: Plausibility, c: Coarse) -> Correction | None:
             if fit.rows and now < CHECKS.channel_shrinks * then and fit.left <= CHECKS.channel_left_at_all * fit.scale
         ]
         still = sum(moved) >= CHECKS.channel_still_moves * max(fit.rows for fit in fits)
-        if np.any(np.abs(correction.change.volts) != 1.0):
-            after = np.maximum(after, CHECKS.channel_alike_share)  # greater volts shrink their floor
+        # greater volts shrink their floor
+        scaled = np.abs(correction.change.volts) != 1.0
+        after = np.where(scaled, np.maximum(after, CHECKS.channel_alike_share), after)
         if still:
             tried.append((float(np.log(after / before).sum()), correction))
     best = min((score for score, _ in tried), default=0.0)

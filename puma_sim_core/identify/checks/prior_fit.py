@@ -30,9 +30,13 @@ class PriorFit:
         torque = m.torque(theta, q, qd, qdd) + model.drive.motor_inertia * qdd + model.drive.viscous * qd
         expected = model.k * torque + model.drive.emf * qd
         parts = [self._slopes(c, torque) * m.deviations]
-        load = m.payload_torque(theta, CHECKS.prior_fit_lever, q, qd, qdd)
+        load = m.payload_torque(theta, (0.0, 0.0, CHECKS.prior_fit_lever), q, qd, qdd)
         if load is not None:
             parts.append((CHECKS.prior_fit_load * model.k * load)[:, :, None])
+            if m.library_sized:
+                # the centre of a load beside the forearm's line turns the weight as a wrong zero would
+                beside = m.payload_torque(theta, (CHECKS.prior_fit_aside, 0.0, CHECKS.prior_fit_lever), q, qd, qdd)
+                parts.append((CHECKS.prior_fit_load * model.k * (np.asarray(beside) - load))[:, :, None])
         tilt = m.gravity_tilt(theta, q)
         if tilt is not None:
             parts.append(CHECKS.prior_fit_tilt * model.k[:, None] * tilt)

@@ -262,7 +262,8 @@ def frozen_positions(log: Log, model: Plausibility, c: Coarse) -> list[Fault]:
             if travel > max(CHECKS.row_frozen_travel * width, CHECKS.row_frozen_quanta * log.quantum[j]):
                 row = None if last - first >= CHECKS.row_frozen_whole * len(q) else log.row(first + 1)
                 rows = f"from {log.place(first + 1)} to {log.place(last)}"
-                what = f"frozen at {q[first]:.6g} {rows} while its voltage must move it by {travel:.2g}"
+                way = f"{travel:.2g} {model.mechanism.position_unit}"
+                what = f"frozen at {q[first]:.6g} {rows} while its voltage must move it by {way}"
                 expected = "a motion, or a voltage that friction can hold"
                 found.append(Fault.of(f"position{j + 1}", row, what, expected, last - first))
     return found

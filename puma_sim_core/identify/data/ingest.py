@@ -151,7 +151,7 @@ def _taken(
     for channel in ("time", *required):
         if channel not in taken:
             expected = f"a column of that name or one given as {channel}=COLUMN; there are {there}"
-            expected += f". The plant has {joints} joints" if joints > 1 else ""
+            expected += f". The plant has {joints} joints; --plant names another" if joints > 1 else ""
             named = ",".join(f"{ours}={theirs}" for ours, theirs in suggested(rows.names, inputs, links).items())
             expected += f". By their names: --columns {named}" if named and not columns else ""
             if len(rows.names) == 1:

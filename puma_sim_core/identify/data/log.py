@@ -95,6 +95,8 @@ def encoder_step(position: Floats) -> float:
     for reach in DATA.encoder_reaches:
         near = steps[steps < reach * step]
         counts = np.round(near / step)
+        if not counts.any():  # none that is near
+            return 0.0
         step = float((near * counts).sum() / (counts * counts).sum())
     near = steps[steps < DATA.encoder_reaches[-1] * step]
     off = np.abs(near / step - np.round(near / step))

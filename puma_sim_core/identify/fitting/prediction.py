@@ -18,10 +18,11 @@ from scipy.linalg import cho_factor, cho_solve
 from puma_sim_core.effects import Effect, Kind
 from puma_sim_core.errors import NonFiniteStateError, ParameterError
 from puma_sim_core.identify.arrays import Floats
+from puma_sim_core.identify.fitting.pieces import pieces
 from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.noise.weighting import Weighting
 from puma_sim_core.identify.parallel import parallel_map
-from puma_sim_core.identify.settings import FITTING
+from puma_sim_core.identify.settings import FITTING, RESIDUALS
 from puma_sim_core.plant.mechanism import Mechanism
 from puma_sim_core.plant.plant import Plant
 
@@ -50,6 +51,10 @@ class Point:
     def plant(self, mechanism: Mechanism) -> Plant:
         """The plant of a mechanism with these parameters and effects."""
         return mechanism.plant(self.theta, self.effects)
+
+    def stretched(self, mechanism: Mechanism) -> bool:
+        """Whether parameters are farther from their start than their priors allow."""
+        return bool(np.any(np.abs(self.theta - mechanism.start) > RESIDUALS.stretched * mechanism.deviations))
 
 
 class Slopes(NamedTuple):
@@ -346,6 +351,12 @@ class PredictionFit:
     def validation_sum(self, errors: Floats) -> float:
         """Half the sum of squares [nat] of the errors after whitening (N, J) on the validation set."""
         return 0.5 * float((errors[self.predictor.validation_rows] ** 2).sum())
+
+    def validation_pieces(self, errors: Floats) -> Floats:
+        """(k,) parts of `validation_sum` by pieces of the validation set that are longer than noise lasts."""
+        rows = self.predictor.validation_rows
+        squares = 0.5 * np.where(rows, errors**2, 0.0).sum(axis=1)
+        return np.array([squares[piece].sum() for piece in pieces(np.asarray(rows.any(axis=1)), self.predictor.step)])
 
 
 def _cannot_be_run() -> ParameterError:

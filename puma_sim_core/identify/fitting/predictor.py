@@ -8,6 +8,7 @@ Identification, chapter 13). `prediction` fits models to them.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
 from itertools import chain
@@ -17,6 +18,7 @@ from scipy import fft
 from scipy.linalg import expm, solve_discrete_are
 from scipy.signal import fftconvolve
 
+from puma_sim_core.errors import NonFiniteStateError, ParameterError
 from puma_sim_core.identify.arrays import Bools, Floats, log_rows
 from puma_sim_core.identify.data import filters
 from puma_sim_core.identify.data.log import Log
@@ -90,7 +92,6 @@ class Predictor:
         self.linear: list[tuple[Floats, Floats, Floats]] = []
         noise = np.maximum(noise, FITTING.least_position_noise)
         models = self._joint_models()
-        #: volts (J,) of the nominal friction scale
         scale = mechanism.drive(mechanism.start).volts_per_torque * np.asarray(mechanism.torque_scale, dtype=float)
         if volts is None:
             settling = [_least_volts(model, r, self.step) for model, r in zip(models, noise.tolist())]
@@ -104,10 +105,32 @@ class Predictor:
         self.poses = low + (high - low) * np.random.default_rng(0).random((FITTING.poses, len(low)))
         self.inertia_at_start = self._least_inertia(mechanism.start)
         self.least = FITTING.least_row_noise * scale
+        #: volts (J,) of the nominal friction scale
+        self.friction_volts = scale
+        #: greatest step of integration [s]
+        self.greatest_step = self._greatest_step()
 
     def feasible(self, theta: Floats) -> bool:
         """Whether the inertia matrix is positive definite throughout the ranges of the joints, as on any machine."""
         return self._least_inertia(theta) > FITTING.least_inertia * self.inertia_at_start
+
+    def _greatest_step(self) -> float:
+        """The greatest step [s] with which the start model predicts the logs as with the usual one, but for a small
+        share of what their noise does: logs of few rows a second, of machines without windings, need no more."""
+        usual = FITTING.greatest_step_time
+        if self.step <= usual:
+            return usual
+
+        def errors(step: float) -> Floats:
+            plant = self.mechanism.plant(self.mechanism.start)
+            return np.concatenate([part.innovation for part in self._tracked(plant, None, step)])
+
+        with suppress(NonFiniteStateError, ParameterError):
+            near, least = errors(usual), FITTING.step_error * np.array(self.spread)
+            for step in FITTING.further_steps:
+                if np.all(np.sqrt(np.mean((errors(step) - near) ** 2, axis=0)) <= least):
+                    return step
+        return usual
 
     def _least_inertia(self, theta: Floats) -> float:
         """Least eigenvalue of the inertia matrix with the motors' [kg m^2 or kg]."""
@@ -183,10 +206,13 @@ class Predictor:
 
         corrected : for each log whether a row's innovation moves the state (n - 1,), None: always.
         """
+        return self._tracked(plant, corrected, self.greatest_step)
+
+    def _tracked(self, plant: Plant, corrected: Sequence[Bools] | None, step: float) -> list[Tracked]:
         parts = []
         for number, s in enumerate(self.stretches):
-            own = None if corrected is None else corrected[number]
-            parts.append(innovations(_started(plant, s), s.time, s.voltage, s.position, self.gain, s.enable, own))
+            own, simulator = None if corrected is None else corrected[number], _started(plant, s, step)
+            parts.append(innovations(simulator, s.time, s.voltage, s.position, self.gain, s.enable, own))
         return parts
 
     def errors_of(self, plants: Iterable[Plant]) -> list[Floats | None] | None:
@@ -201,7 +227,7 @@ class Predictor:
             if not goes_side_by_side(plant):
                 return None
             kept.append(plant)
-        started = [[_started(plant, s) for plant in kept] for s in self.stretches]
+        started = [[_started(plant, s, self.greatest_step) for plant in kept] for s in self.stretches]
         if len({simulator.max_step for simulator in started[0]}) != 1:
             return None
         logs = [self._side_by_side(s, simulators) for s, simulators in zip(self.stretches, started)]
@@ -332,10 +358,10 @@ class Predictor:
         return Weighting(np.ones((len(scale), 1)), scale, self.lengths, self.settling)
 
 
-def _started(plant: Plant, stretch: Stretch) -> Simulator:
-    """A simulator at the first row of a log."""
+def _started(plant: Plant, stretch: Stretch, step: float) -> Simulator:
+    """A simulator at the first row of a log. step : of integration, at most [s]."""
     s = stretch
-    simulator = Simulator(plant, max_step=stable_step(plant, FITTING.greatest_step_time))
+    simulator = Simulator(plant, max_step=stable_step(plant, step))
     position, velocity = true_start(plant, *s.motion)
     current = driven_current(plant, s.time, s.voltage, 0, velocity, s.motion[2])
     if s.enable is not None:

@@ -12,16 +12,17 @@ import numpy as np
 
 from puma_sim_core.effects import KINDS, Effect, Kind
 from puma_sim_core.effects.base import Parameter, Role
-from puma_sim_core.effects.screening import Illegal
+from puma_sim_core.effects.screening import Illegal, Values
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.fitting import occam
+from puma_sim_core.identify.fitting.pieces import clearly_above_zero
 from puma_sim_core.identify.fitting.prediction import Fitted, Pairs, Point, PredictionFit, Slopes, bounded, with_value
 from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.noise.weighting import Weighting
 from puma_sim_core.identify.screening.evidence import Key, Scored
 from puma_sim_core.identify.screening.problem import Problem
-from puma_sim_core.identify.settings import FITTING
+from puma_sim_core.identify.settings import FITTING, SELECTION
 
 _IMPOSSIBLE = "it would need an impossible value"
 _NOT_FINITE = "the model with it does not stay finite along the log"
@@ -148,7 +149,8 @@ class Trials:
             compensated = self._compensated(base, scored)
         if compensated is not None:
             fitted = _lowest(fitted, run(compensated, free))
-        if again and (fitted is None or base.model.objective - fitted.objective < FITTING.promised * scored.gain):
+        promised = FITTING.promised * scored.gain if scored.best is not None else np.inf
+        if again and (fitted is None or base.model.objective - fitted.objective < promised):
             # without the effect, parameters may be stretched so far that they and their derivatives are of no use
             starts = [Point(self.mechanism.start, start.effects)]
             if compensated is not None:
@@ -184,7 +186,6 @@ class Trials:
         if scored.best is None or _fixed(scored) or KINDS[scored.name].two_masses:
             return None
         coefficients, values = scored.best.coefficients, scored.best.entry.candidate.values
-        fit, model = base.fit, base.model
         try:
             little, whole = (
                 self.effect(replace(scored, values=values(part * coefficients)))
@@ -192,15 +193,44 @@ class Trials:
             )
         except (Illegal, ParameterError):
             return None
+        answer = self._answer(base, little)
+        return None if answer is None else base.with_effect(whole, self._answered(base, answer))
+
+    def best_level(self, base: Base, scored: Scored, values: Values) -> Point | None:
+        """The model with an effect whose first value is its level, the one that fits best of the levels that machines
+        have, with parameters as they are or as they answer to it.
+
+        None where that is the least one, or where each fits worse than none by more than a name needs.
+        """
+        name, unit = next(iter(values)), self.effect(replace(scored, values=dict(values)))
+        little = with_value((unit,), 0, name, FITTING.small_coefficients * values[name])
+        answer = None if little is None else self._answer(base, little[0])
+        best, least = None, base.model.objective + SELECTION.least_gain
+        for number, level in enumerate(self._sizes(unit, name)):
+            effects = with_value((unit,), 0, name, level)
+            if effects is None:
+                continue
+            thetas = [None] if answer is None else [None, self._answered(base, answer, level / values[name])]
+            for point in (base.with_effect(effects[0], theta) for theta in thetas):
+                errors = base.fit.errors(point)
+                if errors is not None and (objective := base.fit.objective(errors, point)) < least:
+                    best, least = None if number == 0 else point, objective
+        return best
+
+    def _answer(self, base: Base, little: Effect) -> Floats | None:
+        """(p,) deviations by which the parameters answer to an effect by slopes. little : it, in a small share."""
+        fit, model = base.fit, base.model
         errors = fit.errors(base.with_effect(little))
         if errors is None:
             return None
         slope = (errors - model.errors)[fit.rows] / FITTING.small_coefficients
         p = len(model.point.theta)
         precision = np.r_[np.ones(p), np.full(base.jacobian.shape[1] - p, FITTING.least_precision)]
-        answer = -np.linalg.solve(base.slopes.normal + np.diag(precision), base.jacobian.T @ slope)
-        theta = self.mechanism.clip(model.point.theta + answer[:p] * self.mechanism.deviations)
-        return base.with_effect(whole, theta)
+        return -np.linalg.solve(base.slopes.normal + np.diag(precision), base.jacobian.T @ slope)[:p]
+
+    def _answered(self, base: Base, answer: Floats, share: float = 1.0) -> Floats:
+        """(p,) the parameters of a model with a share of their answer, within their bounds."""
+        return self.mechanism.clip(base.model.point.theta + share * answer * self.mechanism.deviations)
 
     def judged(self, fit: PredictionFit, base: Fitted, scored: Scored, fitted: Fitted) -> Trial:
         """The trial of a fitted hypothesis, by its gains over the base."""
@@ -213,11 +243,13 @@ class Trials:
 
     @staticmethod
     def validation_gain(fit: PredictionFit, base: Fitted, fitted: Fitted, gain: float) -> float:
-        """Gain [nat] on the validation set; `FITTING.untried` of an effect that does not act there."""
+        """Gain [nat] on the validation set; `FITTING.untried` where that says nothing of the effect: one that does not
+        act there, or whose loss there is within chance."""
         if fit.validation_sum(base.errors - fitted.errors) < max(FITTING.untried, FITTING.untried_share * gain):
-            # a limit that was met, or an impact, elsewhere: the validation set says nothing of it
+            # a limit that was met, or an impact, elsewhere
             return FITTING.untried
-        return fit.validation_sum(base.errors) - fit.validation_sum(fitted.errors)
+        found = fit.validation_pieces(base.errors) - fit.validation_pieces(fitted.errors)
+        return FITTING.untried if found.sum() <= 0.0 and not clearly_above_zero(-found) else float(found.sum())
 
     def _best_start(self, fit: PredictionFit, screened: Point, scored: Scored) -> Point:
         """The screened model, its threshold or stiffness the one that fits best of a few: no slope shows it.
@@ -228,18 +260,25 @@ class Trials:
         if not _fixed(scored):
             return screened
         number, name = len(screened.effects) - 1, next(iter(scored.values or ()))
-        value, best, least = screened.effects[-1].values[name], screened, np.inf
+        value, sizes = screened.effects[-1].values[name], list[float]()
         starts = [(screened.theta, share * value) for share in FITTING.threshold_starts]
         if not screened.two_mass:
             sizes = self._sizes(screened.effects[-1], name)
             starts += [(theta, size) for theta in (screened.theta, self.mechanism.start) for size in sizes]
-        for theta, size in starts:
-            effects = with_value(screened.effects, number, name, size, clip=True)
-            point = Point(theta, effects or screened.effects)
-            errors = fit.errors(point)
-            if errors is not None and (objective := fit.objective(errors, point)) < least:
-                best, least = point, objective
-        return best
+        found = _lowest_of(fit, screened, number, name, starts)
+        if found is None:
+            return screened
+        size = found[0].effects[number].values[name]
+        most = max(size for _, size in starts)
+        # the best of them may be the greatest: then it lies beyond, as far as a machine may have it
+        ratio = FITTING.threshold_starts[-1] / FITTING.threshold_starts[-2]
+        farthest = FITTING.above_plausible * max(self._sizes(screened.effects[-1], name), default=0.0)
+        while size >= most and (most := ratio * most) <= farthest:
+            further = _lowest_of(fit, screened, number, name, [(found[0].theta, most)])
+            if further is None or further[1] >= found[1]:
+                break
+            found, size = further, most
+        return found[0]
 
     def _sizes(self, effect: Effect, name: str) -> list[float]:
         """Sizes of a parameter from the least to the greatest that a machine has, evenly in their logarithm."""
@@ -333,8 +372,32 @@ def _places(kind: Kind) -> list[tuple[str, float, float]]:
 
 
 def _fixed(scored: Scored) -> bool:
-    """Whether a hypothesis has no coefficients: its values are those of a grid."""
-    return scored.best is not None and scored.best.entry.candidate.fixed
+    """Whether a hypothesis has no coefficients: its values are those of a grid, or it is tried without a screening."""
+    return unseen(scored) if scored.best is None else scored.best.entry.candidate.fixed
+
+
+def unseen(scored: Scored) -> bool:
+    """Whether it is tried, with one mass, where the screening has no power."""
+    kind = KINDS[scored.name]
+    return scored.best is None and not kind.two_masses and bool(kind.screening and kind.screening.unseen)
+
+
+def _lowest_of(
+    fit: PredictionFit, model: Point, number: int, name: str, starts: Iterable[tuple[Floats, float]]
+) -> tuple[Point, float] | None:
+    """The best of several (parameters, value of one parameter of an effect) for a model, and its objective; None where
+    none can be run."""
+    best: tuple[Point, float] | None = None
+    for theta, value in starts:
+        effects = with_value(model.effects, number, name, value, clip=True)
+        point = Point(theta, effects or model.effects)
+        errors = fit.errors(point)
+        if errors is None:
+            continue
+        objective = fit.objective(errors, point)
+        if best is None or objective < best[1]:
+            best = point, objective
+    return best
 
 
 def _lowest(*fits: Fitted | None) -> Fitted | None:
@@ -342,6 +405,7 @@ def _lowest(*fits: Fitted | None) -> Fitted | None:
     return min((f for f in fits if f is not None), key=lambda f: f.objective, default=None)
 
 
-def tied(best: Trial, other: Trial) -> bool:
-    """Whether the log cannot tell the two apart by evidence."""
-    return best.gain - other.gain < max(FITTING.tie, FITTING.tie_share * best.gain)
+def tied(best: Trial, other: Trial, scatter: float = 1.0) -> bool:
+    """Whether the log cannot tell the two apart by evidence. scatter : what a nat of the model must be divided by
+    (`fitting.dispersion`)."""
+    return best.gain - other.gain < max(FITTING.tie * scatter, FITTING.tie_share * best.gain)

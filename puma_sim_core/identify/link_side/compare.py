@@ -21,6 +21,7 @@ from puma_sim_core.identify.link_side.evidence import NoiseGrid, Posterior
 from puma_sim_core.identify.link_side.sides import Sides, sides
 from puma_sim_core.identify.link_side.terms import Term
 from puma_sim_core.identify.result import LinkEffect, LinkSide
+from puma_sim_core.identify.screening.surrogates import level
 from puma_sim_core.identify.settings import FITTING, LINK_SIDE, SCREENING, SELECTION
 from puma_sim_core.plant.mechanism import Mechanism
 
@@ -148,15 +149,15 @@ class _Joint:
         gain = trial.posterior.log_evidence - fit.posterior.log_evidence
         if not (trial.possible(len(trial.terms) - 1) and gain >= SELECTION.least_gain):
             return False
-        chance = self.chance(trial, seed)
-        if gain < SELECTION.placebo_factor * chance + SELECTION.placebo_margin:
+        if gain < self.chance(trial, seed):
             return False
         change = self.errors(trial) - self.errors(fit)
         spread = float(np.std(change, ddof=1)) / np.sqrt(len(change))
         return bool(change.mean() < SELECTION.standard_errors * spread)
 
     def chance(self, trial: _Fit, seed: int) -> float:
-        """The greatest gain of the last effect of a trial by what the trial leaves, shifted in each log."""
+        """The gain [nat] that chance gives the last effect of a trial (`surrogates.level`): by what the trial leaves,
+        shifted in each log."""
         left, term = self.residual(trial), trial.terms[-1]
         rng = np.random.default_rng(seed)
         low, high = SELECTION.placebo_shifts
@@ -169,7 +170,7 @@ class _Joint:
         prior = np.array([*self.prior, term.deviation])
         with_it = self.noise.posteriors(shifted, X, prior, self.deviations)
         without = self.noise.posteriors(shifted, self.always, self.prior, self.deviations)
-        return max(a.log_evidence - b.log_evidence for a, b in zip(with_it, without))
+        return level(np.array([a.log_evidence - b.log_evidence for a, b in zip(with_it, without)]))
 
     def residual(self, fit: _Fit) -> Floats:
         """(m,) what a model leaves of the difference [rad or m]."""

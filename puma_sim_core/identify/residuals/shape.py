@@ -21,6 +21,7 @@ from puma_sim_core.identify.noise.weighting import Weighting
 from puma_sim_core.identify.result import Shape
 from puma_sim_core.identify.screening.causal import CausalScreen, Columns, Pairs
 from puma_sim_core.identify.screening.evidence import Scored
+from puma_sim_core.identify.screening.surrogates import level
 from puma_sim_core.identify.settings import RESIDUALS
 from puma_sim_core.jit import compiled
 
@@ -255,13 +256,13 @@ def simplest_first(found: list[Curve]) -> list[Curve]:
 
 
 def chance(causal: CausalScreen, found: list[Curve], shifts: Floats) -> float:
-    """Greatest gain that chance gives any of the curves, once the best one is taken out."""
+    """The gain [nat] that chance gives the best of the curves (`surrogates.level`), once the best one is taken out."""
     if not found:
         return 0.0
     best = found[0]
     own = next(columns for candidate, columns in best.pairs if candidate is best.candidate)
     placebos = causal.placebos_without(best.scored.estimate, own, shifts)
-    return max(0.0, *(placebos.greatest(curve.pairs) for curve in found))
+    return level(np.max([placebos.gains(curve.pairs) for curve in found], axis=0))
 
 
 def noise(causal: CausalScreen, found: list[Curve]) -> Weighting:

@@ -26,15 +26,14 @@ from puma_sim_core.identify.settings import RESIDUALS, SELECTION
 def remainder(state: SelectionState, curves: Sequence[Curve], chance: float, left: Floats) -> Curve | None:
     """The best free curve about what was chosen, where it is more than chance and than model discrepancy; else None.
 
-    curves : best first; chance [nat] : greatest gain of a placebo; left (J,) : residual over its floor.
+    curves : best first; chance [nat] : what they gain by chance (`shape.chance`); left (J,) : residual over its floor.
     """
     if not curves:
         return None
     best = curves[0]
     first = max((chosen.gain for chosen in state.chosen), default=0.0)
     inexact = left[best.joint - 1] < RESIDUALS.above_floor
-    by_chance = RESIDUALS.placebo_factor * chance + RESIDUALS.placebo_margin
-    need = max(RESIDUALS.least_remainder, by_chance, RESIDUALS.remainder_share * first * inexact)
+    need = max(RESIDUALS.least_remainder, chance, RESIDUALS.remainder_share * first * inexact)
     return best if best.scored.gain > need else None
 
 
@@ -77,7 +76,7 @@ class Unnamed:
         self.seed = seed
 
     def shapes(self, final: Fitted) -> tuple[list[Curve], float]:
-        """Free curves against what a model leaves, in the noise that they leave, and their greatest gain by chance."""
+        """Free curves against what a model leaves, in the noise that they leave, and what chance gives them."""
         unit = self.mechanism.position_unit
         causal, found = self._about(final)
         point, volts, _ = self._relaxed(causal, found, final)
@@ -145,16 +144,11 @@ class Unnamed:
             raw = self.predictor.less(volts).errors(plant) + self.predictor.shown(volts)
         return CausalScreen(fit, point, weighting(raw), fit.whitened(fit.derivatives(point, names)), self.problem)
 
-    def _stretched(self, point: Point) -> bool:
-        """Whether parameters are farther from their start than their priors allow."""
-        m = self.mechanism
-        return bool(np.any(np.abs(point.theta - m.start) > RESIDUALS.stretched * m.deviations))
-
     def _relaxed(
         self, causal: CausalScreen, found: list[Curve], final: Fitted, joints: Collection[int] | None = None
     ) -> tuple[Point, Floats | None, Curve | None]:
         """The parameters beside the best curve, its volts (N, J) [V], None where they matter little, and the curve."""
-        stretched, first = self._stretched(final.point), next(iter(found), None)
+        stretched, first = final.point.stretched(self.mechanism), next(iter(found), None)
         if not stretched and (first is None or first.scored.gain < RESIDUALS.much):
             return final.point, None, first
         about = [(causal, found)]

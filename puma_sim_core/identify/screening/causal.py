@@ -307,10 +307,13 @@ class Placebos:
     ys: list[Floats]
     pulled: Floats
 
-    def greatest(self, pairs: Pairs) -> float:
-        """Greatest gain [nat] of a hypothesis by its (candidate, columns) pairs, 0 without any."""
+    def gains(self, pairs: Pairs) -> Floats:
+        """(k,) gains [nat] of a hypothesis in each of them by its (candidate, columns) pairs; 0 without any."""
         gains = [
             log_gain(G, b, c.mean, c.deviation)[0] - np.log(c.tried)
             for c, G, b in self.screen.products(pairs, self.ys, self.pulled)
         ]
-        return float(np.max(np.logaddexp.reduce(gains) - np.log(len(gains)))) if gains else 0.0
+        if not gains:
+            return np.zeros(self.pulled.shape[1])
+        found: Floats = np.logaddexp.reduce(gains) - np.log(len(gains))
+        return found

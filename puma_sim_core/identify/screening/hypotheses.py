@@ -9,6 +9,7 @@ from puma_sim_core.effects import Kind
 from puma_sim_core.effects.screening import Candidate, Signals
 from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.data.sampling import Trajectory
+from puma_sim_core.identify.settings import FITTING
 from puma_sim_core.plant.mechanism import Mechanism
 
 
@@ -27,9 +28,10 @@ def signals_of(
     link = mechanism.torque(theta, q, qd, qdd)
     torque = link + drive.motor_inertia * qdd + drive.viscous * qd
     inertia = mechanism.inertia_matrix(theta, q)
+    links = mechanism.inertia(mechanism.start, q[:: FITTING.inertia_every]).mean(axis=0)
 
-    def payload_torque(z: float) -> Floats:
-        found = mechanism.payload_torque(theta, z, q, qd, qdd)
+    def payload_torque(at: tuple[float, float, float]) -> Floats:
+        found = mechanism.payload_torque(theta, at, q, qd, qdd)
         assert found is not None
         return found
 
@@ -48,6 +50,7 @@ def signals_of(
         enable=motion.enable,
         link_inertia=np.diagonal(inertia, axis1=1, axis2=2),
         motor_inertia=drive.motor_inertia,
+        mesh_share=links / (links + mechanism.drive(mechanism.start).motor_inertia),
         viscous=drive.viscous,
         volts_per_torque=drive.volts_per_torque,
         lag=drive.lag,

@@ -18,16 +18,21 @@ from puma_sim_core.identify.screening.causal import CausalScreen
 from puma_sim_core.identify.screening.evidence import Bank, Key, Scored
 from puma_sim_core.identify.screening.hypotheses import hypotheses
 from puma_sim_core.identify.screening.search import Search
-from puma_sim_core.identify.settings import SCREENING
+from puma_sim_core.identify.settings import SCREENING, SELECTION
 
 #: where dry friction acts
 _DRY = frozenset({Place.LEVEL, Place.SPEED_LEVEL, Place.POSE_LEVEL})
 
 
 class ShortList:
-    """Makes the short lists of one problem. bank : of the screening on filtered motion (`Search.bank`)."""
+    """Makes the short lists of one problem.
 
-    def __init__(self, search: Search, predictor: Predictor, bank: Bank):
+    bank : of the screening on filtered motion (`Search.bank`); doubted : joints (1-based) whose voltage nothing coarse
+    explains (`checks.channel_faults.unexplained`).
+    """
+
+    def __init__(self, search: Search, predictor: Predictor, bank: Bank, doubted: Collection[int] = ()):
+        self.doubted = doubted
         self.search = search
         self.predictor = predictor
         self.library: Mapping[str, Kind] = search.library
@@ -45,7 +50,8 @@ class ShortList:
             short.setdefault(scored.key, placed.get(scored.key, scored))
         found = [*short.values(), *self._related([*short.values()], keys, causal)]
         found += self._common(found, keys, causal)
-        return [*found, *self._without_power({s.key for s in found} | set(keys), keys)]
+        stretched = point.stretched(self.predictor.mechanism)
+        return [*found, *self._without_power({s.key for s in found} | set(keys), keys, stretched)]
 
     def _slow(self, keys: Collection[Key], point: Point) -> list[Scored]:
         """By the filtered motion, best first."""
@@ -69,7 +75,7 @@ class ShortList:
         for s in short:
             names = list(self.library[s.name].contains)
             if s.gain > SCREENING.short_list_family * top:
-                names += [k.name for k in self.library.values() if s.name in k.contains and not _screening(k).generous]
+                names += self._containing(s.name)
             for name in names:
                 if name in self.library and (name, s.joint) not in taken:
                     scored = causal.score(self.library[name], s.joint)
@@ -77,6 +83,18 @@ class ShortList:
                         taken.add(scored.key)
                         found.append(scored)
         return found
+
+    def _containing(self, name: str) -> list[str]:
+        """Effects that contain one."""
+        return [k.name for k in self.library.values() if name in k.contains and not _screening(k).generous]
+
+    def richer(self, gains: Mapping[Key, float], taken: Collection[Key]) -> list[tuple[Kind, int | None]]:
+        """(effect, joint) that contain one of the best trials. gains [nat] : of the trials that may be named; taken :
+        what is in the model, or was tried."""
+        least = max(SELECTION.least_gain, SCREENING.short_list_family * max(gains.values(), default=0.0))
+        best = [key for key, gain in gains.items() if gain > least]
+        found = dict.fromkeys((name, joint) for own, joint in best for name in self._containing(own))
+        return [(self.library[name], joint) for name, joint in found if (name, joint) not in taken]
 
     def _common(self, found: list[Scored], keys: Collection[Key], causal: CausalScreen) -> list[Scored]:
         """Dry friction of joints where anything is missing and none is in the model.
@@ -99,15 +117,20 @@ class ShortList:
                     more.append(blind if scored.values is None else scored)
         return more
 
-    def _without_power(self, taken: Collection[Key], keys: Collection[Key]) -> Iterator[Scored]:
-        """At a joint far noisier than the others, effects that may be the noise: the screening has no power there."""
+    def _without_power(self, taken: Collection[Key], keys: Collection[Key], stretched: bool) -> Iterator[Scored]:
+        """Effects where the screening has no power: that may be the noise of a joint far noisier than the others, or,
+        with one mass, may make a voltage that nothing coarse explains. Such a one drives the parameters so far that no
+        linear screening about them shows it; stretched : whether some are farther than their priors allow, for then it
+        may be on any joint."""
         two_mass = {joint for name, joint in keys if self.library[name].two_masses}
         volts = self.predictor.expected
-        for j in np.flatnonzero(volts > SCREENING.short_list_noisy * np.median(volts)).tolist():
+        noisy = volts > SCREENING.short_list_noisy * np.median(volts)
+        for joint in range(1, len(volts) + 1):
             for name, kind in self.library.items():
                 values = dict(_screening(kind).unseen)
-                if values and j + 1 not in two_mass and (name, j + 1) not in taken:
-                    yield Scored(name, j + 1, 0.0, values=values, occam=SCREENING.short_list_unseen_occam * len(values))
+                powerless = noisy[joint - 1] or ((stretched or joint in self.doubted) and not kind.two_masses)
+                if values and powerless and joint not in two_mass and (name, joint) not in taken:
+                    yield Scored(name, joint, 0.0, values=values, occam=SCREENING.short_list_unseen_occam * len(values))
 
 
 def _screening(kind: Kind) -> Screening:

@@ -7,15 +7,14 @@ Each method is a pass: it takes a state of the selection and gives one with othe
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
-import numpy as np
-
 from puma_sim_core.effects import Effect, Kind
+from puma_sim_core.effects.base import Role
 from puma_sim_core.errors import ParameterError
-from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
+from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit, bounded
 from puma_sim_core.identify.fitting.trials import Trial, Trials
 from puma_sim_core.identify.parallel import parallel_map
 from puma_sim_core.identify.selection.state import SelectionState
-from puma_sim_core.identify.settings import RESIDUALS, SELECTION
+from puma_sim_core.identify.settings import FITTING, SELECTION
 
 
 class Refits:
@@ -27,36 +26,71 @@ class Refits:
         self.library = library
 
     def from_nested(self, state: SelectionState) -> SelectionState:
-        """Trials that fit worse than an effect that they contain start from the parameters of that one."""
+        """Trials that fit worse than an effect that they contain start from the parameters of that one, with their own
+        size or about its size, whichever fits best there."""
+        fit = PredictionFit(self.predictor, state.noise)
 
         def again(trial: Trial) -> Trial:
             simpler = self._simpler(trial, state.trials)
             if trial.fitted is None or simpler is None or trial.fitted.objective <= simpler.objective:
                 return trial
-            start = Point(simpler.point.theta, trial.fitted.point.effects)
-            return self._better(state, trial, simpler.point, start)
+            *others, last = trial.fitted.point.effects
+            own, inner = _sizes(last), _sizes(simpler.point.effects[-1])
+            ratios = [inner[unit] / own[unit] for unit in own if unit in inner and own[unit] > 0.0]
+            shares = [share * ratios[0] for share in SELECTION.size_shares] if ratios else []
+            points = [Point(simpler.point.theta, (*others, _of_size(last, share))) for share in (1.0, *shares)]
+            found = [(fit.objective(e, at), n) for n, at in enumerate(points) if (e := fit.errors(at)) is not None]
+            return self._better(state, trial, simpler.point, points[min(found)[1]]) if found else trial
 
         return _with_trials(state, again)
 
     def from_nominal(self, state: SelectionState) -> SelectionState:
         """The best trials start from the nominal parameters as well, where a missing effect has
         stretched those of the model: what it took up keeps a trial of that effect in a local minimum."""
-        m, theta = self.predictor.mechanism, state.model.point.theta
-        if not np.any(np.abs(theta - m.start) > RESIDUALS.stretched * m.deviations):
+        if not state.model.point.stretched(self.predictor.mechanism):
             return state
         possible = (t for t in state.trials if t.explains)
         best = sorted(possible, key=lambda t: -t.gain)[: SELECTION.most_polished]
-        fit = PredictionFit(self.predictor, state.noise)
+        fit, start = PredictionFit(self.predictor, state.noise), self.predictor.mechanism.start
 
         def again(trial: Trial) -> Trial:
             # derivatives of two masses take long
             if trial not in best or trial.model.point.two_mass:
                 return trial
             try:
-                found, _ = fit.to_end(Point(m.start, trial.model.point.effects), trial.model.names)
+                found, _ = fit.to_end(Point(start, trial.model.point.effects), trial.model.names)
             except ParameterError:
                 return trial
             return max(trial, self.trials.judged(fit, state.model, trial.scored, found), key=lambda t: t.gain)
+
+        return _with_trials(state, again)
+
+    def from_levels(self, state: SelectionState) -> SelectionState:
+        """Trials of what all but every drive has that gain less than a name needs start from the levels that machines
+        have as well.
+
+        The model may have taken dry friction up, so that the screening sees next to nothing of it; or the screened
+        level holds the joint, and nothing moves for any slope to see. With two masses it would take too long.
+        """
+        if state.model.point.two_mass:
+            return state
+        base = self.trials.base(state.model, state.noise, state.derivatives)
+
+        def again(trial: Trial) -> Trial:
+            screening = self.library[trial.name].screening
+            common = None if screening is None else screening.common
+            if common is None or trial.joint is None or trial.gain >= SELECTION.least_gain:
+                return trial
+            values = common(float(self.predictor.mechanism.torque_scale[trial.joint - 1]))
+            start = self.trials.best_level(base, trial.scored, values)
+            if start is None:
+                return trial
+            number = len(start.effects) - 1
+            free = ((number, name) for name in self.trials.names(start.effects[number], values))
+            found = base.fit.run(start, (*state.model.names, *free), rounds=FITTING.relinearised_rounds)
+            if found is None:
+                return trial
+            return max(trial, self.trials.judged(base.fit, base.model, trial.scored, found), key=lambda t: t.gain)
 
         return _with_trials(state, again)
 
@@ -163,6 +197,21 @@ class Refits:
         jacobian = fit.derivatives(about, state.model.names, state.nearby)
         found = self.trials.run(self.trials.base(state.model, state.noise, jacobian), trial.scored, start)
         return max(trial, found, key=lambda t: t.gain)
+
+
+def _sizes(effect: Effect) -> dict[str, float]:
+    """Unit -> the greatest of an effect's sizes in it."""
+    found: dict[str, float] = {}
+    for p in effect.kind.parameters:
+        if p.role is Role.SIZE:
+            found[p.unit] = max(found.get(p.unit, 0.0), effect.values[p.name])
+    return found
+
+
+def _of_size(effect: Effect, share: float) -> Effect:
+    """An effect with a share of its sizes, within their bounds."""
+    sizes = {p.name: share * effect.values[p.name] for p in effect.kind.parameters if p.role is Role.SIZE}
+    return bounded(effect.kind, effect.joint, {**effect.values, **sizes})
 
 
 def _with_trials(state: SelectionState, again: Callable[[Trial], Trial]) -> SelectionState:

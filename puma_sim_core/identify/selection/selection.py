@@ -15,16 +15,18 @@ from puma_sim_core.effects import KINDS, Kind
 from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.fitting.dispersion import dispersion
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
-from puma_sim_core.identify.fitting.trials import Trial, Trials
+from puma_sim_core.identify.fitting.trials import Trial, Trials, unseen
 from puma_sim_core.identify.memory import release
 from puma_sim_core.identify.noise import innovations
 from puma_sim_core.identify.noise.weighting import Weighting
 from puma_sim_core.identify.parallel import parallel_map
 from puma_sim_core.identify.screening.causal import CausalScreen, placebo_shifts
 from puma_sim_core.identify.screening.evidence import Key
+from puma_sim_core.identify.screening.hypotheses import hypotheses
 from puma_sim_core.identify.screening.short_list import ShortList
+from puma_sim_core.identify.screening.surrogates import level
 from puma_sim_core.identify.selection.elimination import Elimination
-from puma_sim_core.identify.selection.noise_choice import noise_refused, squares_of_pieces
+from puma_sim_core.identify.selection.noise_choice import least_of_joints, noise_refused, squares_of_pieces
 from puma_sim_core.identify.selection.refits import Refits
 from puma_sim_core.identify.selection.state import Chosen, SelectionState, Stage
 from puma_sim_core.identify.settings import FITTING, SELECTION
@@ -57,6 +59,8 @@ class Selection:
         self.stage: tuple[Pass, ...] = (
             self.fit_model,
             self.try_short_list,
+            refits.from_levels,
+            self.try_richer,
             refits.from_nested,
             refits.from_previous,
             refits.from_nominal,
@@ -112,8 +116,21 @@ class Selection:
         least = max(SELECTION.least_gain, SELECTION.relinearised_share * max((s.gain for s in short), default=0.0))
         most = SELECTION.relinearised_two_mass if base.model.point.two_mass else SELECTION.relinearised
         best = {id(s) for s in sorted(short, key=lambda s: -s.gain)[:most] if s.gain > least}
+        # what was not screened has no gain to be sorted by
+        best |= {id(s) for s in short if unseen(s)}
         trials = parallel_map(lambda s: self.trials.run(base, s, again=id(s) in best), short)
         return replace(state, trials=tuple(trials))
+
+    def try_richer(self, state: SelectionState) -> SelectionState:
+        """Try what contains the best trials, where the screening of these had no part of what they gain."""
+        taken = {*state.keys, *(t.key for t in state.trials)}
+        asked = self.short_list.richer({t.key: t.gain for t in state.trials if t.possible}, taken)
+        if not asked:
+            return state
+        base = self.trials.base(state.model, state.noise, state.derivatives)
+        causal = CausalScreen(base.fit, base.model.point, base.model.errors, base.jacobian, self.problem)
+        scored = [found for kind, joint in asked if (found := causal.score(kind, joint)) and found.values is not None]
+        return replace(state, trials=(*state.trials, *parallel_map(lambda s: self.trials.run(base, s), scored)))
 
     def estimate_noise(self, state: SelectionState) -> SelectionState:
         """Fit all again in the noise that the best explanation of each joint leaves, unless the validation refuses."""
@@ -145,8 +162,7 @@ class Selection:
         best, accepted = state.best, None
         if best is not None and best.gain > SELECTION.least_gain:
             accepted = self._parsimonious(best, trials, scatter)
-        first = self._gains(state.history[0]) if state.history else {}
-        stage = Stage(trials, threshold, state.model, None, first, doubted)
+        stage = Stage(trials, threshold, state.model, None, doubted)
         if accepted is not None and best is not None:
             # one that does not lower the error on the validation set is replaced by the next that does
             passing = [t for t in trials if _passes(t, stage, best)]
@@ -168,11 +184,13 @@ class Selection:
         gain, times = FITTING.finished_final, FITTING.relinearisations_final
         model, _ = fit.to_end(point, pairs, gain=gain, times=times)
         jacobian = fit.derivatives(model.point, pairs)
-        model = replace(model, jacobian=fit.whitened(jacobian))
+        whitened = fit.whitened(jacobian)
+        scatter = dispersion(self.predictor, whitened, model.errors, len(model.point.theta))
+        model = replace(model, jacobian=whitened)
         retuned = model
         if state.chosen and state.retuned is not None:
             retuned, _ = fit.to_end(state.retuned.point, (), gain=gain, times=times)
-        return replace(state, model=model, jacobian=jacobian, retuned=retuned, trials=())
+        return replace(state, model=model, jacobian=jacobian, retuned=retuned, trials=(), scatter=scatter)
 
     # what the passes are made of
 
@@ -188,22 +206,18 @@ class Selection:
     def _raw(self, point: Point) -> Floats:
         return self.predictor.errors(point.plant(self.mechanism))
 
-    def _gains(self, stage: Stage) -> dict[int | None, float]:
-        """By joint (None: all of them) the gain [nat] of the effect that a stage accepted."""
-        if stage.accepted is None:
-            return {}
-        rows, total = self.predictor.fit_rows, stage.accepted.gain
-        less = 0.5 * np.where(rows, stage.base.errors**2 - stage.accepted.model.errors**2, 0.0).sum(axis=0)
-        least = SELECTION.elsewhere * total
-        return {None: total, **{j + 1: max(min(gain, total), least) for j, gain in enumerate(less)}}
-
     def _validation_volts(self, state: SelectionState) -> Floats:
-        """(k, J) mean squares [V^2] of the voltages that the best model of a state lacks on pieces of the validation
-        set."""
+        """(k, J) mean squares [V^2] of the voltages that a state lacks on pieces of the validation set: those of its
+        model, or of its best trial where that lacks less of a joint.
+
+        A trial may gain most in a noise that is too small, and predict worse than the model that the stage may keep.
+        """
         best, p = state.best, self.predictor
-        point = state.model.point if best is None or best.gain < 0.0 else best.model.point
-        volts = p.in_volts(self._raw(point), self.problem.sampled.cutoffs[1])
-        return squares_of_pieces(volts, np.asarray(p.validation_rows.all(axis=1)), p.step)
+        points = [state.model.point] + ([] if best is None or best.gain < 0.0 else [best.model.point])
+        rows, cutoff = np.asarray(p.validation_rows.all(axis=1)), self.problem.sampled.cutoffs[1]
+        return least_of_joints(
+            [squares_of_pieces(p.in_volts(self._raw(point), cutoff), rows, p.step) for point in points]
+        )
 
     def _noise(self, state: SelectionState) -> Weighting:
         """The weighting by what is left of each joint after the model that explains that joint best."""
@@ -220,21 +234,22 @@ class Selection:
         best model."""
         best = state.best
         if best is None or best.gain <= SELECTION.least_gain:
-            return max(SELECTION.least_gain, SELECTION.placebo_margin), 1.0
+            return SELECTION.least_gain, 1.0
         fit, model = PredictionFit(self.predictor, state.noise), best.model
         jacobian = fit.whitened(fit.derivatives(model.point, self.trials.free(model.point), state.nearby))
         causal = CausalScreen(fit, model.point, model.errors, jacobian, self.problem)
-        chance = self._placebo(state, causal)
+        chance = level(self._placebo(state, causal))
         scatter = dispersion(self.predictor, jacobian, model.errors, len(model.point.theta))
         # beside an effect, what that one misfits counts as well; the first one takes up misfit itself
         least = SELECTION.least_gain * (scatter if state.chosen else 1.0)
-        return max(least, SELECTION.placebo_factor * chance + SELECTION.placebo_margin), scatter
+        return max(least, chance), scatter
 
-    def _placebo(self, state: SelectionState, causal: CausalScreen) -> float:
-        """Greatest gain of shifted innovations of a screen over the short list's own columns."""
+    def _placebo(self, state: SelectionState, causal: CausalScreen) -> Floats:
+        """(k,) greatest gains [nat] of the shifted innovations of a screen over all that the short list is taken of."""
         placebos = causal.placebos(self.shifts)
-        gains = [placebos.greatest(causal.pairs(self.library[t.name], t.joint)) for t in state.trials]
-        return max(0.0, *gains)
+        asked = (h for h in hypotheses(self.library.values(), self.mechanism) if (h[0].name, h[1]) not in state.keys)
+        greatest: Floats = np.max([placebos.gains(causal.pairs(kind, joint)) for kind, joint in asked], axis=0)
+        return greatest
 
     def _parsimonious(self, best: Trial, trials: Iterable[Trial], scatter: float) -> Trial:
         """The best trial, or one on its joint that it contains and that is hardly worse, in a model's dispersion."""
@@ -283,8 +298,8 @@ def _passes(trial: Trial, stage: Stage, best: Trial) -> bool:
     return (
         trial.problem is None
         and trial.validation_gain > 0.0
-        and trial.gain > stage.needed(trial.joint)
+        and trial.gain > stage.threshold
         and trial.gain > SELECTION.replacement_share * best.gain
-        and (not trial.untried or trial.gain > stage.needed_untried(trial.joint))
+        and (not trial.untried or trial.gain > stage.threshold_untried)
         and (not KINDS[trial.name].two_masses or trial.gain > SELECTION.least_two_mass)
     )

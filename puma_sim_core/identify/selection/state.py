@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.fitting.prediction import Fitted
@@ -20,24 +19,20 @@ class Stage:
     """A completed stage of the selection.
 
     trials : best first; threshold [nat] : of a name, by chance and by what the effects before it misfit; base : the
-    model that gains are over; accepted : the trial that the log asks for; first : by joint (None: the whole arm) the
-    gain [nat] of the first effect accepted; doubted : the validation refused the noise that the model leaves.
+    model that gains are over; accepted : the trial that the log asks for; doubted : the validation refused the noise
+    that the model leaves.
     """
 
     trials: tuple[Trial, ...]
     threshold: float
     base: Fitted
     accepted: Trial | None = None
-    first: Mapping[int | None, float] = field(default_factory=dict)
     doubted: bool = False
 
-    def needed(self, joint: int | None) -> float:
-        """Least gain [nat] of a name on a joint (1-based; None: the whole arm)."""
-        return max(self.threshold, SELECTION.least_share * self.first.get(joint, 0.0))
-
-    def needed_untried(self, joint: int | None) -> float:
+    @property
+    def threshold_untried(self) -> float:
         """Least gain [nat] of a name that does not act on the validation set."""
-        return max(self.needed(joint), SELECTION.least_untried, SELECTION.untried_share * self.first.get(joint, 0.0))
+        return max(self.threshold, SELECTION.least_untried)
 
 
 @dataclass(frozen=True)
@@ -78,7 +73,8 @@ class SelectionState:
     the innovations; chosen : the effects of the model, in its order; history : the stages so far; trials : those of
     the present stage; doubted : the state in a noise that the validation refused in this stage, None otherwise;
     retuned : the model with its parameters fitted and no effect, None before the first stage; retracted : effects that
-    were taken out at the end, since they do not lower the validation error.
+    were taken out at the end, since they do not lower the validation error; scatter : what a nat of the finished model
+    must be divided by (`fitting.dispersion`).
     """
 
     model: Fitted
@@ -90,6 +86,7 @@ class SelectionState:
     doubted: SelectionState | None = None
     retuned: Fitted | None = None
     retracted: tuple[Key, ...] = ()
+    scatter: float = 1.0
 
     @property
     def keys(self) -> tuple[Key, ...]:

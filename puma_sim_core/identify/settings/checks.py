@@ -93,6 +93,7 @@ class Checks:
     prior_fit_drag: float = 0.08
     prior_fit_load: float = 3.0  #: [kg], at the lever
     prior_fit_lever: float = 0.4  #: [m]
+    prior_fit_aside: float = 0.1  #: its centre from the line of the lever: half of an object that a hand holds [m]
     prior_fit_tilt: float = 0.07  #: [rad]
     prior_fit_lag: float = 8e-3  #: delay or lag of a sensor [s]
     prior_fit_dry_widths: tuple[float, ...] = (0.015, 0.08)  #: widths of the dry step, over the greatest speed

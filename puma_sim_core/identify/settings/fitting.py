@@ -15,6 +15,10 @@ class Fitting:
     start_rows: int = 12  #: rows to each side of the start whose parabola gives its position
     settling_time: float = 0.25  #: time at the start of a log that the predictor is given to settle [s]
     greatest_step_time: float = 1.2e-3  #: greatest step [s]; RK4 is stable up to 8.4 ms for the arm's windings (3 ms)
+    #: steps [s] that are tried first, the greatest that the error of the innovations allows [standard deviations of
+    #: those]: an error of RK4 grows with the fifth power of a rate, so a model three times as fast has about 2 %
+    further_steps: tuple[float, ...] = (5e-3, 2.5e-3)
+    step_error: float = 1e-4
     #: greatest step in time constants of a winding: RK4 is stable up to 2.78
     greatest_step_lags: float = 2.0
     #: share of an error that the predictor has left after the settling time, and least noise of a row's voltage that

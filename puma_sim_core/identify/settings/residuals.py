@@ -51,9 +51,6 @@ class Residuals:
     open_loop_beyond: float = 10.0
     open_loop_share: float = 0.01  #: share of the nominal model's error below which nothing is left of it
     above_floor: float = 1.5  #: residual over its floor that no model discrepancy makes [calibrated]
-    #: what a remainder's gain must exceed the placebos' greatest by: a factor and an addend [nat] [calibrated]
-    placebo_factor: float = 1.3
-    placebo_margin: float = 3.0
     #: of a difference of two explanations, from which on it counts: 95 % of a normal distribution lie within
     standard_errors: float = 2.0
     ranked_curves: int = 8  #: curves that the ranking of axes has

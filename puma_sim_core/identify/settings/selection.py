@@ -11,19 +11,19 @@ class Selection:
     # --- what a name needs
     #: of a name [nat]: of 450 synthetic records with nothing missing none had 13 to 20 nat (commit 7bc1047)
     least_gain: float = 16.0
-    least_share: float = 0.015  #: of the first effect's gain; less is its model discrepancy [calibrated]
     least_untried: float = 25.0  #: of a name [nat] without action on the validation set [calibrated]
-    untried_share: float = 0.03  #: and share of the gain [calibrated]
     #: least gain [nat] of a name that gives a joint two masses, since no placebo goes through the model: of 510 names
     #: of synthetic records wrong ones of these had 17 to 35 nat, right ones 165 and more but for one (23b9b58)
     least_two_mass: float = 40.0
     most_effects: int = 4  #: most effects that are named
-    #: placebos, of curves too, and what a gain must exceed their greatest by: a factor and an addend [nat] [calibrated]
-    placebos: int = 24
-    placebo_factor: float = 1.2
-    placebo_margin: float = 2.0
+    placebos: int = 24  #: surrogates of a log, of curves and of the link's side too
+    #: probability with which a surrogate may exceed what a gain must: 2 % of alarms that may be raised where nothing is
+    #: missing, one half for a name and one for a remainder (`surrogates.level`)
+    surrogate_level: float = 0.01
+    #: share of the surrogates that the tail is fitted to: of maxima of 1 to 300 gains with 1 to 8 degrees of freedom
+    #: 0.4 to 1.2 % then exceed the level of 1 % (simulated; test_loop_surrogates)
+    surrogate_tail: float = 1.0 / 3.0
     placebo_shifts: tuple[float, float] = (0.06, 0.94)  #: as shares of the record: far from no shift at all
-    elsewhere: float = 0.2  #: of the first effect's gain at other joints, where its discrepancy shows [calibrated]
     replacement_share: float = 0.4  #: of the best gain, where the best fails on the validation set [calibrated]
 
     # --- effects that contain one another
@@ -41,6 +41,8 @@ class Selection:
     relinearised: int = 4
     relinearised_two_mass: int = 1
     relinearised_share: float = 0.03
+    #: of the size of an effect that it contains, from which a trial starts once more
+    size_shares: tuple[float, ...] = (1.0, 0.5, 0.25)
     no_more: float = 1.0  #: gain of likelihood [nat] below which a trial is no more than an effect that it contains
     #: share of the best gain above which a trial is fitted to its end, for how many, and from which gain [nat] on
     near_best: float = 0.6

@@ -76,7 +76,9 @@ class Scan:
         except OSError as error:
             raise BagError(f"cannot be read ({error.strerror})", where=path, expected="an MCAP file") from error
         if magic != MAGIC:
-            self.fault = BagError("is not an MCAP file", where=path, expected=f"{MAGIC!r} at its start")
+            self.fault = BagError(
+                "is not an MCAP file", where=path, expected="a bag of sim_node, or the .mcap file in it"
+            )
             self.damage.append(Damage(path, 0, self.size, self.fault.what))
             if not partial:
                 raise self.fault
