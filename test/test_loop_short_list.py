@@ -62,7 +62,12 @@ def test_dry_friction_is_tried_where_anything_is_missing_and_none_is_in_the_mode
     assert start.values == {"torque": mechanism.torque_scale[1]}
 
 
-LIMIT, PLAY = "current_limit", "backlash"
+LIMITS, PLAY = ("current_limit", "voltage_saturation"), "backlash"
+
+
+def limits(*joints):
+    """Every limit on joints."""
+    return {(name, joint) for name in LIMITS for joint in joints}
 
 
 @pytest.mark.parametrize(
@@ -70,12 +75,12 @@ LIMIT, PLAY = "current_limit", "backlash"
     [
         ([1.0, 1.0, 1.0], (), False, (), (), set()),
         # a voltage that nothing coarse explains may be a limit's; play cannot make such a one
-        ([1.0, 1.0, 1.0], (3,), False, (), (), {(LIMIT, 3)}),
+        ([1.0, 1.0, 1.0], (3,), False, (), (), limits(3)),
         # parameters that went farther than their priors allow may have taken up that of any joint
-        ([1.0, 1.0, 1.0], (), True, ((LIMIT, 1),), (), {(LIMIT, 2), (LIMIT, 3)}),
+        ([1.0, 1.0, 1.0], (), True, (*limits(1),), (), limits(2, 3)),
         # noise of a far noisier joint may be the impacts of play, too
-        ([1.0, 9.0, 1.0], (), False, (), (), {(LIMIT, 2), (PLAY, 2)}),
-        ([1.0, 9.0, 1.0], (2,), False, ((LIMIT, 2),), (), {(PLAY, 2)}),
+        ([1.0, 9.0, 1.0], (), False, (), (), {*limits(2), (PLAY, 2)}),
+        ([1.0, 9.0, 1.0], (2,), False, (*limits(2),), (), {(PLAY, 2)}),
         # a joint with two masses already gets no others
         ([1.0, 9.0, 1.0], (2,), False, (), ((PLAY, 2),), set()),
     ],
@@ -87,11 +92,11 @@ def test_a_limit_is_tried_on_a_joint_whose_voltage_nothing_coarse_explains(
     found = [*ShortList(search, predictor, None, doubted)._without_power(taken, keys, stretched)]
     assert {scored.key for scored in found} == tried
     # no gain promised anything: all derivatives are taken anew for a limit, whose level no slope shows
-    assert {scored.key for scored in found if unseen(scored)} == {key for key in tried if key[0] == LIMIT}
+    assert {scored.key for scored in found if unseen(scored)} == {key for key in tried if key[0] in LIMITS}
 
 
 def test_a_limit_that_was_screened_keeps_its_promise():
-    assert unseen(Scored(LIMIT, 1, 0.0)) and not unseen(Scored(LIMIT, 1, 0.0, best=object()))
+    assert all(unseen(Scored(limit, 1, 0.0)) and not unseen(Scored(limit, 1, 0.0, best=object())) for limit in LIMITS)
     assert not unseen(Scored(PLAY, 1, 0.0)) and not unseen(Scored("payload", None, 0.0))
 
 
