@@ -1,7 +1,7 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Dry friction that varies over the range of the joint."""
 
-from math import cos
+from math import cos, pi
 
 import numpy as np
 
@@ -55,6 +55,15 @@ def coordinates(values: Values, scale: float) -> np.ndarray:
     return np.array([level_prior(mean, scale), *shapes])
 
 
+def usual(level: float) -> tuple[dict[str, float], ...]:
+    """Values of a variation by one deviation about a level [N.m], greatest at either end or side of a turn.
+
+    At no amplitude an angle has no slope, and an amplitude that would have to change its sign stays at zero.
+    """
+    amplitude = _VARIATION[1] * level
+    return tuple({"torque": level, "amplitude": amplitude, "angle": angle} for angle in (0.0, 0.5 * pi, pi, -0.5 * pi))
+
+
 EFFECT = Kind(
     name="position_dependent_friction",
     order=80,
@@ -69,7 +78,11 @@ EFFECT = Kind(
     laws=(Law(Point.POSE_LEVEL, position_level), Law(Point.HAS_POSE_LEVEL, has_position_level)),
     directed=True,
     screening=Screening(
-        position_dependent, "Reversals over the full range of the joint.", coordinates=coordinates, size="amplitude"
+        position_dependent,
+        "Reversals over the full range of the joint.",
+        coordinates=coordinates,
+        size="amplitude",
+        usual=usual,
     ),
     drawn_against=("position",),
     example="position_dependent_friction:joint=2,torque=8,amplitude=3",

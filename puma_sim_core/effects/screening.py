@@ -105,9 +105,9 @@ class Screening:
     #: (values, nominal friction torque) -> (k, 3) array for the Occam factor: coordinates that are about independent on
     #: machines, with mean and standard deviation; None: it is taken by the candidates
     coordinates: Callable[[Values, float], np.ndarray] | None = None
-    #: level [N.m] of the dry friction that it contains -> values with a shape as machines have it: a fit begins there
-    #: again where the shape has come out as nothing
-    usual: Callable[[float], dict[str, float]] | None = None
+    #: level [N.m] of the dry friction that it contains -> values with shapes as machines have them: a fit begins at the
+    #: best of these again where the shape has come out as nothing
+    usual: Callable[[float], tuple[dict[str, float], ...]] | None = None
     #: (names of parameters, values, lowest and highest position of the log) -> those that the log tells of
     fitted: Callable[[list[str], Values, float, float], list[str]] | None = None
     #: (nominal friction torque [N.m]) -> values from which it is tried where anything is missing, whatever screening

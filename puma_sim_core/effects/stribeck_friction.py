@@ -77,10 +77,10 @@ def coordinates(values: Values, scale: float) -> np.ndarray:
     return np.array([level_prior(sliding, scale), shape, rate_prior(values["velocity"], _VS)])
 
 
-def usual(level: float) -> dict[str, float]:
+def usual(level: float) -> tuple[dict[str, float], ...]:
     """Values of a bump of the middle shape whose friction is about a level [N.m]."""
     sliding = level / (1.0 + 0.5 * _EXCESS[0])
-    return {"torque": _EXCESS[0] * sliding, "sliding": sliding, "velocity": _VS[0]}
+    return ({"torque": _EXCESS[0] * sliding, "sliding": sliding, "velocity": _VS[0]},)
 
 
 EFFECT = Kind(

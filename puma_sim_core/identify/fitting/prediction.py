@@ -128,6 +128,15 @@ class PredictionFit:
         far = [self._prior(effect, name)[0] for effect in point.effects for name in effect.values]
         return 0.5 * float((errors[self.rows] ** 2).sum() + step @ step + np.dot(far, far))
 
+    def best_of(self, points: Iterable[Point]) -> Point | None:
+        """The point that fits best as it is, None where none can be run."""
+        best: tuple[float, Point] | None = None
+        for point in points:
+            errors = self.errors(point)
+            if errors is not None and (best is None or self.objective(errors, point) < best[0]):
+                best = self.objective(errors, point), point
+        return None if best is None else best[1]
+
     def prior(self, point: Point, pairs: Pairs) -> tuple[Floats, Floats]:
         """(c,) slopes of the objective's priors by parameters of effects, per size, and (c,) prior precisions."""
         found = np.array([self._prior(point.effects[number], name) for number, name in pairs])

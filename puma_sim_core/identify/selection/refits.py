@@ -39,8 +39,8 @@ class Refits:
             ratios = [inner[unit] / own[unit] for unit in own if unit in inner and own[unit] > 0.0]
             shares = [share * ratios[0] for share in SELECTION.size_shares] if ratios else []
             points = [Point(simpler.point.theta, (*others, _of_size(last, share))) for share in (1.0, *shares)]
-            found = [(fit.objective(e, at), n) for n, at in enumerate(points) if (e := fit.errors(at)) is not None]
-            return self._better(state, trial, simpler.point, points[min(found)[1]]) if found else trial
+            start = fit.best_of(points)
+            return trial if start is None else self._better(state, trial, simpler.point, start)
 
         return _with_trials(state, again)
 
@@ -115,7 +115,8 @@ class Refits:
 
     def from_usual(self, state: SelectionState) -> SelectionState:
         """Trials that came out as no more than an effect that they contain start from that one, with a shape as
-        machines have it."""
+        machines have it, the best of several."""
+        fit = PredictionFit(self.predictor, state.noise)
 
         def again(trial: Trial) -> Trial:
             screening = self.library[trial.name].screening
@@ -127,8 +128,10 @@ class Refits:
                 return trial
             *others, inner = simpler.point.effects
             last, theta = trial.effect, simpler.point.theta
-            effect = Effect(last.kind, last.joint, {**last.values, **usual(inner.values["torque"])})
-            return self._better(state, trial, Point(theta, tuple(others)), Point(theta, (*others, effect)))
+            shapes = usual(inner.values["torque"])
+            shaped = (Effect(last.kind, last.joint, {**last.values, **shape}) for shape in shapes)
+            start = fit.best_of(Point(theta, (*others, effect)) for effect in shaped)
+            return trial if start is None else self._better(state, trial, Point(theta, tuple(others)), start)
 
         return _with_trials(state, again)
 
