@@ -16,8 +16,9 @@ from puma_sim_core.identify import explain
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit, Slopes, bounded_step
 from puma_sim_core.identify.fitting.trials import Base, Trial, Trials
 from puma_sim_core.identify.screening.evidence import Scored
+from puma_sim_core.identify.selection.elimination import Elimination
 from puma_sim_core.identify.selection.refits import Refits
-from puma_sim_core.identify.selection.state import SelectionState, Stage
+from puma_sim_core.identify.selection.state import Chosen, SelectionState, Stage
 from puma_sim_core.identify.settings import FITTING
 from puma_sim_core.plant.mechanism_file import load_mechanism
 
@@ -237,6 +238,63 @@ def test_a_bump_that_came_out_as_nothing_is_tried_again_as_machines_have_it():
     assert revived(stuck)[1].gain > good.gain - 1.0 and revived(stuck)[0] is plain
     # one that is more than what it contains stays as it is
     assert revived(good)[1] is good
+
+
+def test_a_variation_whose_amplitude_stuck_at_zero_is_tried_from_every_side():
+    true = parse_effect("position_dependent_friction:joint=1,torque=0.05,amplitude=0.03,angle=-2")
+    base, trials, state = lacking(true)
+
+    def tried(text):
+        effect = parse_effect(text)
+        scored = Scored(effect.kind.name, 1, 0.0, values=dict(effect.values))
+        return trials.run(base, scored, Point(PENDULUM.start, (effect,)))
+
+    plain = tried("coulomb_friction:joint=1,torque=0.05")
+    good = tried("position_dependent_friction:joint=1,torque=0.05,amplitude=0.03,angle=-2")
+    level = plain.fitted.point.effects[0].values["torque"]
+    nothing = Effect(true.kind, 1, {"torque": level, "amplitude": 0.0, "angle": 1.0})
+    stuck = replace(
+        good, gain=plain.gain - 3.0, fitted=replace(plain.fitted, point=Point(plain.fitted.point.theta, (nothing,)))
+    )
+    again = Refits(trials, KINDS).from_usual(replace(state, trials=(plain, stuck))).trials[1]
+    assert good.gain > plain.gain + 10.0 and again.gain > good.gain - 1.0
+    # at no amplitude no angle helps
+    assert trials.run(base, stuck.scored, Point(plain.fitted.point.theta, (nothing,))).gain < good.gain - 10.0
+
+
+def test_an_effect_that_another_contains_leaves_its_size_to_it():
+    true = parse_effect("stribeck_friction:joint=1,torque=0.03,velocity=0.08,sliding=0.05")
+    base, trials, state = lacking(true)
+    most, least = 0.046, 0.004
+    coulomb = parse_effect(f"coulomb_friction:joint=1,torque={most}")
+    bump = Effect(true.kind, 1, {**true.values, "sliding": least})
+    scored = [Scored(effect.kind.name, 1, 100.0, values=dict(effect.values)) for effect in (coulomb, bump)]
+    accepted = [trials.run(base, each) for each in scored]
+    history = tuple(Stage(tuple(accepted), 16.0, base.model, each) for each in accepted)
+    model = base.fit.run(Point(PENDULUM.start, (coulomb, bump)), (), rounds=8)
+    chosen = tuple(Chosen.of(each, history) for each in accepted)
+    both = replace(state, model=model, history=history, chosen=chosen)
+    left = Elimination(trials, KINDS).eliminate(both)
+    assert left.keys == (("stribeck_friction", 1),)
+    assert left.model.point.effects[0].values["sliding"] == pytest.approx(most + least, rel=0.1)
+
+
+def test_a_share_that_a_short_log_does_not_tell_is_none_on_a_bound():
+    arm = load_mechanism()
+    true = parse_effect("friction_warm_up:joint=2,share=0.85,time_constant=8")
+    plant = arm.plant(effects=(true,))
+    log = record(arm, plant, volts=NOISE, noise=1e-5, seconds=4.0)
+    problem, _, predictor = pieces(arm, log, NOISE, 1e-5)
+    fit = PredictionFit(predictor, predictor.unfiltered_weighting(predictor.errors(plant)))
+    ends = []
+    for share in (0.2, 0.99):
+        start = Point(arm.start, (Effect(true.kind, 2, {"share": share, "time_constant": 8.0 * share / 0.85}),))
+        found, _ = fit.to_end(start, ((0, "share"), (0, "time_constant")))
+        ends.append(found.point.effects[0])
+    # the log tells how fast it begins, and the prior how far it goes
+    assert all(0.1 < end.values["share"] < 0.95 for end in ends)
+    assert ends[0].values["share"] == pytest.approx(ends[1].values["share"], abs=0.1)
+    assert all(Trials(predictor, problem).implausible(end) is None for end in ends)
 
 
 @pytest.mark.parametrize("stiffness, damping", [(5e5, 150.0), (4e6, 20.0), (6e4, 900.0)])

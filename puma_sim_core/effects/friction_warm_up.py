@@ -12,6 +12,8 @@ from puma_sim_core.jit import Table, inlined
 
 #: share of the viscous friction lost that a fit may start from
 _MOST_WARMED = 0.9
+#: share lost on machines, middle and one deviation: a log shorter than the time constant tells only how fast it begins
+_SHARE = (0.4, 0.3)
 
 
 @inlined
@@ -32,7 +34,7 @@ def warm_up(signals: Signals, joint: int) -> list[Candidate]:
         return {"share": min(share, _MOST_WARMED), "time_constant": time_constant}
 
     column = -signals.viscous[joint] * signals.velocity[:, joint]
-    return warming(signals, joint, column, values, (0.4, 0.3), TORQUE_COLUMN)
+    return warming(signals, joint, column, values, _SHARE, TORQUE_COLUMN)
 
 
 EFFECT = Kind(
@@ -42,7 +44,16 @@ EFFECT = Kind(
     equation="H(t) = H (1 - share (1 - exp(-t/T))), H of viscous_friction",
     sentence="The joint's viscous friction falls as its grease gets warm; at time 0 it is cold.",
     parameters=(
-        Parameter("share", "1", 0.0, 1.0, "part of H that is lost in the end", SIZE, (0.1, 0.9)),
+        Parameter(
+            "share",
+            "1",
+            0.0,
+            1.0,
+            "part of H that is lost in the end",
+            SIZE,
+            (0.1, 0.9),
+            prior=(_SHARE[0], (_SHARE[0] + _SHARE[1]) / _SHARE[0]),
+        ),
         Parameter("time_constant", "s", 0.01, 1e5, "T", RATE, (1.0, 2000.0), neutral=1.0),
     ),
     laws=(Law(Point.VISCOUS_FACTOR, warmed_share),),

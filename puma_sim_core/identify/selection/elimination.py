@@ -1,7 +1,7 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Backward elimination: chosen effects, fitted again with the later ones in the model."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import reduce
 from typing import NamedTuple, TypeVar
@@ -9,6 +9,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from puma_sim_core.effects import Effect, Kind
+from puma_sim_core.effects.base import Parameter, Role
 from puma_sim_core.identify.fitting.dispersion import dispersion
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit, Slopes, bounded
 from puma_sim_core.identify.fitting.trials import Trial, Trials
@@ -74,7 +75,10 @@ class Elimination:
         first = len(point.theta)
         own = [first + k for k, (n, _) in enumerate(pairs) if n == number]
         others = Slopes.of(np.delete(jacobian, own, axis=1))
-        bare = fit.run(without, (), jacobian=others, frozen=self.trials.free(without))
+        # what contains it may be a small part beside it, from which no few steps lead to the whole
+        taken_up = _taken_up(point.effects[number], without.effects)
+        start = fit.best_of([without, *(Point(point.theta, effects) for effects in taken_up)])
+        bare = None if start is None else fit.run(start, (), jacobian=others, frozen=self.trials.free(start))
         if bare is None or full is None:
             return None
         scatter = dispersion(self.predictor, jacobian, full.errors, len(point.theta))
@@ -177,6 +181,23 @@ def _open(stage: Stage, keys: tuple[Key, ...]) -> list[Trial]:
 def _less(items: tuple[Item, ...], number: int) -> tuple[Item, ...]:
     """All items but one."""
     return (*items[:number], *items[number + 1 :])
+
+
+def _taken_up(gone: Effect, effects: tuple[Effect, ...]) -> Iterator[tuple[Effect, ...]]:
+    """The effects, where one contains another of its joint: that one's size is added to one of its own, or to all."""
+    for number, effect in enumerate(effects):
+        if effect.joint != gone.joint or gone.kind.name not in effect.kind.contains:
+            continue
+        for size in _sizes(gone):
+            alike = [p.name for p in _sizes(effect) if p.unit == size.unit]
+            for names in [*([name] for name in alike), alike]:
+                more = {name: effect.values[name] + gone.values[size.name] for name in names}
+                whole = bounded(effect.kind, effect.joint, {**effect.values, **more})
+                yield (*effects[:number], whole, *effects[number + 1 :])
+
+
+def _sizes(effect: Effect) -> list[Parameter]:
+    return [p for p in effect.kind.parameters if p.role is Role.SIZE]
 
 
 def _alike(effect: Effect, other: Effect) -> Effect:
