@@ -73,29 +73,36 @@ def _end(fit: PredictionFit, fitted: Fitted, k: int, spread: float, wider: float
 
 
 def _profile(fit: PredictionFit, fitted: Fitted, k: int, spread: float, wider: float) -> float:
-    """How far a parameter can be moved to one side until the likelihood has fallen enough."""
+    """How far a parameter can be moved to one side until the likelihood has fallen enough.
+
+    Each fit goes on from the one before, with new derivatives by the other parameters of the effect: of an angle and an
+    amplitude, or of a gap and its contact, the likelihood has a curved ridge.
+    """
     number, _ = fitted.names[k]
     effect, spec = _free(fitted, k)
-    others = tuple(pair for n, pair in enumerate(fitted.names) if n != k)
-    jacobian = Slopes.of(np.delete(fitted.slopes, fitted.slopes.shape[1] - len(fitted.names) + k, axis=1))
-    enough, before = 0.5 * FITTING.normal_quantile**2 * wider, (0.0, 0.0)
+    first = fitted.slopes.shape[1] - len(fitted.names)
+    own = [n for n, pair in enumerate(fitted.names) if pair[0] == number]
+    jacobian = Slopes.of(np.delete(fitted.slopes, [first + n for n in own], axis=1))
+    free = tuple(fitted.names[n] for n in own if n != k)
+    frozen = tuple(pair for pair in fitted.names if pair[0] != number)
+    enough, before, point = 0.5 * FITTING.normal_quantile**2 * wider, (0.0, 0.0), fitted.point
     for share in FITTING.profile_shares:
         reach = share * FITTING.normal_quantile * abs(spread)
         value = effect.values[spec.name] + float(np.copysign(reach, spread))
         if not spec.low <= value <= spec.high:
             break
-        effects = with_value(fitted.point.effects, number, spec.name, value)
+        effects = with_value(point.effects, number, spec.name, value)
         if effects is None:
             break
-        at = Point(fitted.point.theta, effects)
-        moved = fit.run(at, (), jacobian=jacobian, frozen=others, rounds=FITTING.profile_rounds)
+        at = Point(point.theta, effects)
+        moved = fit.run(at, free, jacobian=jacobian, frozen=frozen, rounds=FITTING.profile_rounds)
         fall = np.inf if moved is None else moved.objective - fitted.objective
-        if fall >= enough:
+        if moved is None or fall >= enough:
             # between two points the likelihood falls with the square
             low, high = np.sqrt(max(before[1], 0.0)), np.sqrt(min(fall, FITTING.greatest_fall * enough))
             part = (np.sqrt(enough) - low) / max(high - low, 1e-12)
             return float(before[0] + min(max(part, 0.0), 1.0) * (reach - before[0]))
-        before = reach, fall
+        before, point = (reach, fall), moved.point
     return before[0]
 
 
