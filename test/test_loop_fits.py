@@ -13,6 +13,7 @@ from loop_logs import pieces, record
 
 from puma_sim_core.effects import KINDS, Effect, parse_effect
 from puma_sim_core.identify import explain
+from puma_sim_core.identify.fitting.intervals import intervals
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit, Slopes, bounded_step
 from puma_sim_core.identify.fitting.trials import Base, Trial, Trials
 from puma_sim_core.identify.screening.evidence import Scored
@@ -200,6 +201,22 @@ def test_a_limit_is_fitted_on_from_where_it_was_found_in_the_stage_before():
     assert resumed(elsewhere, stages=0) is now
 
 
+def test_a_limit_starts_from_the_nominal_parameters_at_the_level_that_suits_these():
+    """A limit of the current and the torque constant scale each other: stretched parameters have another level."""
+    true = parse_effect("current_limit:joint=1,current=0.6")
+    base, trials, state = lacking(true)
+    far = Point(PENDULUM.start + np.array([5.0, 0.0, 0.0, 0.0]) * PENDULUM.deviations, ())
+    errors = base.fit.errors(far)
+    stretched = replace(base.model, point=far, errors=errors, objective=base.fit.objective(errors, far))
+    scored = Scored("current_limit", 1, 0.0, values={"current": 6.0}, occam=3.0)
+    level = Effect(true.kind, 1, {"current": 6.0})
+    stuck = trials.judged(base.fit, stretched, scored, replace(stretched, point=Point(far.theta, (level,))))
+    stuck = replace(stuck, gain=10.0, fitted=replace(stuck.fitted, names=((0, "current"),)))
+    again = Refits(trials, KINDS).from_nominal(replace(state, model=stretched, trials=(stuck,))).trials[0]
+    assert again.effect.values["current"] == pytest.approx(0.6, rel=0.01)
+    assert np.all(np.abs(again.model.point.theta - PENDULUM.start) < 0.2 * PENDULUM.deviations)
+
+
 def test_a_trial_by_itself_is_fitted_to_its_end_where_the_validation_set_speaks_against_it():
     base, trials, state, tried = limited()
     refits = Refits(trials, KINDS)
@@ -295,6 +312,26 @@ def test_a_share_that_a_short_log_does_not_tell_is_none_on_a_bound():
     assert all(0.1 < end.values["share"] < 0.95 for end in ends)
     assert ends[0].values["share"] == pytest.approx(ends[1].values["share"], abs=0.1)
     assert all(Trials(predictor, problem).implausible(end) is None for end in ends)
+
+
+def test_an_interval_follows_a_ridge():
+    """A small variation may be a greater one about another angle: at the ends the other parameters have answered."""
+    true = parse_effect("position_dependent_friction:joint=1,torque=0.02,amplitude=0.004,angle=2.8")
+    volts, noise, plant = 0.3, 3e-4, PENDULUM.plant(effects=(true,))
+    log = record(PENDULUM, plant, volts=volts, noise=noise)
+    _, _, predictor = pieces(PENDULUM, log, volts, noise)
+    fit = PredictionFit(predictor, predictor.unfiltered_weighting(predictor.errors(plant)))
+    names = ((0, "torque"), (0, "amplitude"), (0, "angle"))
+    model, _ = fit.to_end(Point(PENDULUM.start, (true,)), names)
+    for (number, name), (value, low, high) in intervals(fit, model).items():
+        assert low < value < high
+        others = tuple(pair for pair in names if pair != (number, name))
+        for end in (low, high):
+            moved = Effect(true.kind, 1, {**model.point.effects[0].values, name: end})
+            there, _ = fit.to_end(Point(model.point.theta, (moved,)), others)
+            fall = there.objective - model.objective
+            # 95 % of a normal distribution: 1.92 nat, or what the sandwich's width takes
+            assert fall > 0.9 * 0.5 * FITTING.normal_quantile**2
 
 
 @pytest.mark.parametrize("stiffness, damping", [(5e5, 150.0), (4e6, 20.0), (6e4, 900.0)])

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -86,6 +87,37 @@ def test_a_window_is_the_model_by_itself_from_its_start_on():
     run = simulator.run(stretch.time[rows[0] : rows[-1] + 2], stretch.voltage[rows[0] : rows[-1] + 2])
     expected = stretch.position[rows + 1, 0] - run.position[1:, 0]
     assert np.abs(errors - expected).max() < 1e-9
+
+
+def test_instants_at_which_a_current_is_limited_are_resolved():
+    arm, usual = load_mechanism(), 1.2e-3
+    lag = max(m.inductance / m.resistance for m in arm.plant().arm.motors)
+    limited = arm.plant(arm.start, (parse_effect("current_limit:joint=2,current=1.2"),))
+    step = stable_step(limited, usual)
+    assert stable_step(arm.plant(), usual) == usual > 0.12 * lag >= step
+    # models side by side, whose parameters differ by little, take the same steps
+    beside = arm.plant(arm.start + 0.01 * arm.deviations, limited.effects[-1:])
+    assert stable_step(beside, usual) == step
+    time = np.arange(0.0, 3.0, usual)
+    volts = np.where(np.mod(time, 0.5) < 0.25, 30.0, -30.0)[:, None] * [0.0, 1.0, 0.0]
+
+    def positions(step):
+        simulator = Simulator(limited, max_step=step)
+        simulator.reset([0.0, -1.2, 1.0])
+        return simulator.run(time, volts).position
+
+    exact = positions(2e-5)
+    error, unresolved = (np.abs(positions(each) - exact).max() for each in (step, usual))
+    assert error < 0.1 * unresolved
+
+
+def test_a_winding_that_a_fit_makes_fast_costs_no_more_than_its_stability():
+    arm = load_mechanism()
+    plant = arm.plant(arm.start, (parse_effect("current_limit:joint=2,current=1.2"),))
+    motors = [replace(motor, inductance=1e-4 * motor.inductance) for motor in plant.arm.motors]
+    fast = replace(plant, arm=replace(plant.arm, motors=tuple(motors)))
+    bare = replace(fast, effects=())
+    assert stable_step(fast, 1.2e-3) == stable_step(bare, 1.2e-3) < 1e-5
 
 
 def test_windows_know_where_in_its_play_a_gear_is():

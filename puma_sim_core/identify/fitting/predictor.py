@@ -12,12 +12,14 @@ from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
 from itertools import chain
+from math import ceil, log2
 
 import numpy as np
 from scipy import fft
 from scipy.linalg import expm, solve_discrete_are
 from scipy.signal import fftconvolve
 
+from puma_sim_core.effects.base import Point as Place
 from puma_sim_core.errors import NonFiniteStateError, ParameterError
 from puma_sim_core.identify.arrays import Bools, Floats, log_rows
 from puma_sim_core.identify.data import filters
@@ -429,7 +431,13 @@ def stationary_covariance(A: Floats, Q: Floats) -> Floats:
 
 
 def stable_step(plant: Plant, at_most: float) -> float:
-    """Step of integration [s] at which a plant's windings are stable: a fit may make them fast."""
-    motors = [plant.arm.motors[axis] for axis in plant.axes]
-    lags = [m.inductance / m.resistance for m in motors if m.inductance > 0.0]
-    return min([at_most, *(FITTING.greatest_step_lags * lag for lag in lags)])
+    """Step of integration [s] at which a plant's windings are stable, since a fit may make them fast, and one that
+    resolves the instants at which a law switches their current."""
+    motors = [(j, plant.arm.motors[axis]) for j, axis in enumerate(plant.axes, start=1)]
+    lags = {j: m.inductance / m.resistance for j, m in motors if m.inductance > 0.0}
+    stable = min([at_most, *(FITTING.greatest_step_lags * lag for lag in lags.values())])
+    switched = {e.joint for e in plant.effects if any(law.point is Place.CURRENT_RATE for law in e.kind.laws)}
+    resolved = min((FITTING.switched_step_lags * lag for j, lag in lags.items() if j in switched), default=at_most)
+    # halves of it: models side by side, whose parameters differ by little, take the same steps
+    halves = min(ceil(log2(at_most / resolved)), FITTING.switched_halves) if at_most > resolved else 0
+    return min(stable, at_most * 0.5**halves)

@@ -280,6 +280,15 @@ class Trials:
             found, size = further, most
         return found[0]
 
+    def sized(self, point: Point, scored: Scored) -> list[Point]:
+        """A model, and it with the last effect in all sizes that machines have, where no slope shows them."""
+        found, number = [point], len(point.effects) - 1
+        if _fixed(scored):
+            name = next(iter(scored.values or ()))
+            changed = (with_value(point.effects, number, name, v) for v in self._sizes(point.effects[number], name))
+            found += [Point(point.theta, effects) for effects in changed if effects is not None]
+        return found
+
     def _sizes(self, effect: Effect, name: str) -> list[float]:
         """Sizes of a parameter from the least to the greatest that a machine has, evenly in their logarithm."""
         plausible = {each: (low, high) for each, low, high in effect.kind.plausible}

@@ -57,8 +57,13 @@ class Refits:
             # derivatives of two masses take long
             if trial not in best or trial.model.point.two_mass:
                 return trial
+            # a limit of the current and the torque constant scale each other: the level is that of other parameters
+            sized = self.trials.sized(Point(start, trial.model.point.effects), trial.scored)
+            at = fit.best_of(sized)
+            if at is None:
+                return trial
             try:
-                found, _ = fit.to_end(Point(start, trial.model.point.effects), trial.model.names)
+                found, _ = fit.to_end(at, trial.model.names)
             except ParameterError:
                 return trial
             return max(trial, self.trials.judged(fit, state.model, trial.scored, found), key=lambda t: t.gain)
