@@ -281,7 +281,9 @@ def test_effects_that_one_contains_are_those_tried_beside_it():
         ({"position": 1000.0, "coulomb": 1083.0, "asymmetric": 900.0}, (), "position", 100.0),
         # it does not: another kind that contains the simpler one is better
         ({"position": 1000.0, "coulomb": 1006.0, "asymmetric": 993.0}, (), "asymmetric", 109.0),
-        # ... but no name where it comes out as no machine has it
+        # ... but not by less than a rival must be
+        ({"position": 1000.0, "coulomb": 1006.0, "asymmetric": 999.5}, (), "position", 100.0),
+        # ... and no name where it comes out as no machine has it
         ({"position": 1000.0, "coulomb": 1006.0, "asymmetric": 993.0}, ("asymmetric",), "position", 100.0),
         # ... nor by less than its coefficients cost
         ({"position": 1000.0, "coulomb": 1001.0, "asymmetric": 999.5}, (), "coulomb", 103.0),

@@ -139,7 +139,9 @@ class Elimination:
             alike = (t for t in _open(stage, state.keys) if t.joint == simpler[1].joint)
             others = [exact(full, t, t.effect) for t in alike if self._contains(t, simpler[1].name)]
             possible = (pair for pair in others if not self.trials.implausible(pair[0].point.effects[number]))
-            best = min((first, *possible), key=lambda pair: pair[0].objective + pair[1].occam)
+            rival = min(possible, key=_cost, default=first)
+            # as of any rival: a coin would not turn out the same in another log
+            best = rival if _cost(rival) < _cost(first) - SELECTION.replacement_gain else first
         lost = simpler[0].objective - best[0].objective
         less = best[1].occam - simpler[1].occam
         fitted, trial = simpler if lost < max(SELECTION.parsimony, less + SELECTION.exact * chosen.gain) else best
@@ -171,6 +173,11 @@ class Elimination:
     def _contains(self, trial: Trial, name: str) -> bool:
         """Whether the effect of a trial contains another one."""
         return name in self.library[trial.name].contains
+
+
+def _cost(pair: tuple[Fitted, Trial]) -> float:
+    """Objective and Occam factor [nat] of a fit and the trial that it is of."""
+    return pair[0].objective + pair[1].occam
 
 
 def _open(stage: Stage, keys: tuple[Key, ...]) -> list[Trial]:
