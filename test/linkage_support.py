@@ -63,14 +63,16 @@ def link(place, upright, elbow, **numbers):
 
 
 def linkage(name="test", gravity=9.81, zero=None, numbers=None, **axes):
-    """A linkage; axes : "base" and others, each a drive or an angle [rad] at which it is held."""
+    """A linkage; axes : "base" and others, each a drive or an angle [rad] at which it is held; zero : of axes, each a
+    number or (number, standard deviation) [rad]."""
     zero, numbers = zero or {}, numbers or {}
     upright = "base" in axes and isinstance(axes["base"], dict)
     mapping = {"format": MECHANISM_FORMAT, "name": name, "kind": "linkage", "gravity": known(gravity, "m/s^2")}
     for place, given in axes.items():
         entry = {"link": link(place, upright, "elbow" in axes, **numbers.get(place, {}))}
         if place in zero:
-            entry["zero"] = {"value": zero[place], "unit": "rad"}
+            value, *deviation = np.atleast_1d(zero[place]).tolist()
+            entry["zero"] = {"value": value, "unit": "rad", **({"deviation": deviation[0]} if deviation else {})}
         if isinstance(given, dict):
             entry |= {"range": {"value": [-7.0, 7.0], "unit": "rad"}, "torque_scale": {"value": 0.2, "unit": "N.m"}}
             entry["drive"] = given

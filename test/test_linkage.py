@@ -15,6 +15,7 @@ from puma_sim_core.checks import Reader
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.plant.linkage.linkage_file import check_bodies, linkage_mapping, read_linkage
+from puma_sim_core.plant.linkage.linkage_mechanism import LinkageMechanism
 from puma_sim_core.plant.mechanism_file import load_mechanism
 from puma_sim_core.plant.model_file import dump_model, load_model
 from puma_sim_core.simulation.simulator import Simulator
@@ -199,7 +200,59 @@ def test_base_tilt_of_a_rotary_pendulum_is_gravity_along_the_other_axes():
             assert_allclose(found[:, axis], expected, atol=1e-12)
 
 
+FREE_ZEROS = {
+    "pendulum": ({"shoulder": DRIVE}, {"shoulder": 0.4}),
+    "double pendulum": ({"shoulder": DRIVE, "elbow": DRIVE}, {"shoulder": 0.0, "elbow": -0.7}),
+    "rotary pendulum": ({"base": DRIVE, "shoulder": passive()}, {"shoulder": pi}),
+    "elbow on a held shoulder": ({"shoulder": 0.9, "elbow": DRIVE}, {"elbow": 0.1}),
+}
+
+
+@pytest.mark.parametrize("part", FREE_ZEROS)
+def test_a_zero_with_a_deviation_is_a_parameter(part, tmp_path):
+    axes, zeros = FREE_ZEROS[part]
+    fixed = mechanism(**axes, zero=zeros)
+    machine = mechanism(**axes, zero={place: (value, 0.1) for place, value in zeros.items()})
+    assert [p.name for p in machine.free] == [f"{place}.zero" for place in zeros]
+    assert_allclose(machine.start, list(zeros.values()))
+    off = np.array([0.08, -0.13])[: len(zeros)]
+    joints = [axis.place for axis in machine.body.moving]
+    shift = np.zeros(machine.joints)
+    shift[[joints.index(place) for place in zeros]] = off
+    theta = machine.start + off
+    q, qd, qdd = np.random.default_rng(5).uniform(-2.0, 2.0, size=(3, 20, machine.joints))
+    # a joint that is `off` from where it says to be
+    assert_allclose(machine.torque(theta, q, qd, qdd), fixed.torque(None, q + shift, qd, qdd), atol=1e-13)
+    assert_allclose(machine.gravity(theta, q), fixed.gravity(None, q + shift), atol=1e-13)
+    assert_allclose(machine.inertia_matrix(theta, q), fixed.inertia_matrix(None, q + shift), atol=1e-13)
+    slopes = machine.link_jacobian(theta, q, qd, qdd)
+    for n in range(len(theta)):
+        step = 1e-6 * np.eye(len(theta))[n]
+        ends = (machine.torque(theta + sign * step, q, qd, qdd) for sign in (1.0, -1.0))
+        assert_allclose(slopes[:, :, n], (next(ends) - next(ends)) / 2e-6, atol=1e-8)
+    time = np.arange(0.0, 0.5, 1e-3)
+    runs = []
+    for plant_of, start in ((machine.plant(theta), np.zeros(machine.joints)), (fixed.plant(), shift)):
+        simulator = Simulator(plant_of)
+        simulator.reset(start)
+        runs.append(simulator.run(time, np.zeros((len(time), machine.joints))).position - start)
+    assert_allclose(*runs, atol=1e-12)
+    # it is what an encoder's offset would be, and written and read again as a prior
+    for joint, place in enumerate(joints, start=1):
+        assert machine.possible("encoder_offset", joint) == (place not in zeros)
+        assert fixed.possible("encoder_offset", joint)
+    dump_model(machine.plant(theta), tmp_path / "model.yaml")
+    again = load_model(tmp_path / "model.yaml")
+    assert again == machine.plant(theta)
+    assert_allclose(LinkageMechanism.of(again.body).start, theta)
+
+
 def test_what_a_linkage_cannot_be():
+    free = {"shoulder": (LEVEL_DOWN, 0.1)}
+    with pytest.raises(ParameterError, match=r"shoulder\.zero\.deviation: beside a base and an elbow"):
+        linkage(base=DRIVE, shoulder=DRIVE, elbow=DRIVE, zero=free)
+    with pytest.raises(ParameterError, match=r"shoulder\.zero\.deviation: of an axis that is held"):
+        linkage(shoulder=0.9, elbow=DRIVE, zero={"shoulder": (0.2, 0.1)})
     for given, words in (
         ({"elbow": DRIVE}, "a shoulder before the elbow"),
         ({"shoulder": 0.3}, "one at least with a drive, or passive"),

@@ -93,7 +93,7 @@ def test_derivatives_are_those_of_differences(name):
     assert torque.shape == (12, mechanism.joints, len(theta))
     for n in range(len(theta)):
         step = np.zeros_like(theta)
-        step[n] = 1e-5 * theta[n]
+        step[n] = 1e-5 * (abs(theta[n]) or mechanism.deviations[n])
 
         def slope(function):
             high, low = function(theta + step), function(theta - step)
@@ -111,7 +111,7 @@ def test_derivatives_are_those_of_differences(name):
                 exact,
                 slope(function),
                 rtol=1e-7,
-                atol=1e-10 * (1.0 + abs(np.asarray(function(theta))).max() / abs(theta[n])),
+                atol=1e-10 * (1.0 + abs(np.asarray(function(theta))).max() / step[n] * 1e-5),
             )
 
 

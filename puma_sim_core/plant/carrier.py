@@ -45,8 +45,7 @@ def layout_of(linkage: Linkage) -> Layout:
     for axis, place in places.items():
         if axis.place == BASE:
             continue
-        # the kernel counts the second joint from level, downward, and the third from upright on a level second
-        angle = axis.zero + (pi if place == 2 and axis.place == SHOULDER else 0.5 * pi)
+        angle = _angle(axis, place, axis.zero)
         if axis.moves:
             turn[place] = angle
         else:
@@ -57,6 +56,21 @@ def layout_of(linkage: Linkage) -> Layout:
         raise ParameterError(what, where=f"mechanism '{linkage.name}'", expected=expected)
     moving = tuple(place for axis, place in places.items() if axis.moves)
     return Layout(moving, (rest[0], rest[1], rest[2]), (turn[1], turn[2]))
+
+
+def turn_of(linkage: Linkage, values: Mapping[str, Any]) -> tuple[Any, Any]:
+    """The turn of a layout with zeros of `values`, real or complex."""
+    turn: list[Any] = [0.0, 0.0, 0.0]
+    for axis, place in _places(linkage).items():
+        if axis.moves and axis.place != BASE:
+            turn[place] = _angle(axis, place, values.get(f"{axis.place}.zero", axis.zero))
+    return turn[1], turn[2]
+
+
+def _angle(axis: Axis, place: int, zero: Any) -> Any:
+    """The kernel's angle of an axis at position 0: it counts the second joint from level, downward, and the third from
+    upright on a level second."""
+    return zero + (pi if place == 2 and axis.place == SHOULDER else 0.5 * pi)
 
 
 def carrier(linkage: Linkage, values: Mapping[str, Any]) -> ArmParameters:
@@ -94,8 +108,9 @@ def carrier(linkage: Linkage, values: Mapping[str, Any]) -> ArmParameters:
     )
 
 
-def turned(k: Lumps, turn: tuple[float, float]) -> Lumps:
-    """The constants by angles that are 0 where those of the second and third joint are `turn` [rad].
+def turned(k: Lumps, turn: tuple[Any, Any]) -> Lumps:
+    """The constants by angles that are 0 where those of the second and third joint are `turn` [rad], real or with the
+    small imaginary part of a complex step.
 
     D11 is so for any angles only where the base is held, the second joint is, or its angle is a multiple of a half
     turn.
@@ -162,10 +177,12 @@ def _placed(v: Mapping[str, Any], upright: bool) -> tuple[Any, Any, Any, Any]:
     return v["mass"], v["centre"], v["across"], v["beside"] if upright else 0.0
 
 
-def _cosine(angle: float) -> float:
+def _cosine(angle: Any) -> Any:
+    if isinstance(angle, complex):
+        return complex(_cosine(angle.real), -_sine(angle.real) * angle.imag)
     quarter = angle / (0.5 * pi)
     return cos(angle) if abs(quarter - round(quarter)) > _RIGHT else (1.0, 0.0, -1.0, 0.0)[round(quarter) % 4]
 
 
-def _sine(angle: float) -> float:
+def _sine(angle: Any) -> Any:
     return _cosine(angle - 0.5 * pi)

@@ -41,28 +41,36 @@ class LumpedMechanism(Mechanism):
     def arm_of(self, theta: ArrayLike | None = None) -> ArmParameters:
         """The arm with the numbers of theta, real or complex, without loads."""
 
+    def turn_of(self, theta: ArrayLike | None = None) -> tuple[Any, Any]:
+        """Angles of the arm's joints 2 and 3 at position 0 with the numbers of theta, real or complex."""
+        return self.layout.turn
+
     def of_links(self, name: str) -> bool:
         """Whether the torques of the links depend on the parameter of this name."""
         return True
 
     def lumps(self, theta: ArrayLike | None = None) -> np.ndarray:
         """(19,) constants `LUMPS` of the links and what they carry, without motor inertias."""
-        return self._constants(self.arm_of(theta)) + self._load_lumps
+        turn = self.turn_of(theta)
+        return self._constants(self.arm_of(theta), turn) + self._load_lumps(turn)
 
-    def _constants(self, arm: ArmParameters) -> np.ndarray:
+    @staticmethod
+    def _constants(arm: ArmParameters, turn: tuple[Any, Any]) -> np.ndarray:
         """(19,) constants `LUMPS` of an arm's links, real or complex."""
         first, second, third = (replace(motor, inertia=0.0) for motor in arm.motors)
-        k = turned(lumped_constants(replace(arm, motors=(first, second, third))), self.layout.turn)
+        k = turned(lumped_constants(replace(arm, motors=(first, second, third))), turn)
         return np.array(k[:15] + k[16:])
 
-    @property
-    def _load_lumps(self) -> np.ndarray:
-        """What the payloads of the model add; it does not depend on theta."""
+    def _load_lumps(self, turn: tuple[Any, Any]) -> np.ndarray:
+        """What the payloads of the model add; of theta it depends on the turn alone."""
+        loads = [effect for effect in self.effects if effect.kind.load is not None]
+        if not loads:
+            return np.zeros(len(LUMPS))
         loaded = self.arm
-        for effect in self.effects:
-            if effect.kind.load is not None:
-                loaded = effect.kind.load(loaded, effect.on(self.arm).values)
-        return self._constants(loaded) - self._constants(self.arm)
+        for effect in loads:
+            assert effect.kind.load is not None
+            loaded = effect.kind.load(loaded, effect.on(self.arm).values)
+        return self._constants(loaded, turn) - self._constants(self.arm, turn)
 
     def _poses(self, q: ArrayLike) -> np.ndarray:
         """(n, 3) positions of the arm's joints for those (n, J) that move."""
@@ -144,14 +152,14 @@ class LumpedMechanism(Mechanism):
         at = at if self.position_unit == "rad" else (0.0, 0.0, 1.0)
         nothing = Link(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
         load = with_point_mass(replace(self.arm, links=(nothing,) * 3), 1.0, *at)
-        return self._table(q, qd, qdd) @ self._constants(load)
+        return self._table(q, qd, qdd) @ self._constants(load, self.turn_of(theta))
 
     def link_jacobian(self, theta: ArrayLike | None, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> np.ndarray:
         theta = self.start if theta is None else theta
         slopes = np.zeros((len(LUMPS), len(self.free)))
         for n, parameter in enumerate(self.free):
             if self.of_links(parameter.name):
-                slopes[:, n] = complex_slope(lambda moved: self._constants(self.arm_of(moved)), theta, n)
+                slopes[:, n] = complex_slope(self.lumps, theta, n)
         table = self._table(q, qd, qdd)
         return (table.reshape(-1, len(LUMPS)) @ slopes).reshape(len(table), self.joints, len(self.free))
 

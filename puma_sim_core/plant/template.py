@@ -90,7 +90,8 @@ def _several(drives: Mapping[str, str]) -> Iterator[str]:
         else:
             yield from _limits("linkage", "  ")
         if place in _ZERO:
-            yield f"  # {_ZERO[place]}"
+            fitted = "" if held else "; with a deviation it is fitted, as where it is set by hand"
+            yield f"  # {_ZERO[place]}{fitted}"
             yield "  # zero: {value: 0.0, unit: rad}"
         if not held or place != BASE:
             yield "  link:"

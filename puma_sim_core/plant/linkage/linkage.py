@@ -44,8 +44,8 @@ class Axis:
     """An axis that a linkage has.
 
     place : of `PLACES`; amplifier : of `quantities.AMPLIFIERS`, or "held"; limits : range [rad or m]; torque_scale :
-    nominal friction [N.m or N]; zero [rad]: angle at position 0; held : position [rad] of an axis that is held;
-    link_sensor : that on the link's side, None without one.
+    nominal friction [N.m or N]; zero [rad]: angle at position 0; zero_free : whether that is a parameter, AXIS.zero;
+    held : position [rad] of an axis that is held; link_sensor : that on the link's side, None without one.
     """
 
     place: str
@@ -53,6 +53,7 @@ class Axis:
     limits: tuple[float, float] = (0.0, 0.0)
     torque_scale: float = 0.0
     zero: float = 0.0
+    zero_free: bool = False
     held: float = 0.0
     link_sensor: LinkSensor | None = None
 
@@ -144,4 +145,5 @@ class Linkage:
             proportion = abs(value / p.value) if p.value else 1.0
             return replace(p, value=value, deviation=p.deviation * proportion)
 
-        return replace(self, parameters=tuple(map(moved, self.parameters)))
+        axes = (replace(axis, zero=values.get(f"{axis.place}.zero", axis.zero)) for axis in self.axes)
+        return replace(self, axes=tuple(axes), parameters=tuple(map(moved, self.parameters)))

@@ -108,6 +108,10 @@ def _several(reader: Reader, mapping: Any, kind: str) -> tuple[tuple[Axis, ...],
         axes.append(axis)
         parameters += own
     _check_servos(reader, axes)
+    free = {axis.place for axis in axes if axis.zero_free}
+    if upright and ELBOW in places and SHOULDER in free:
+        expected = "no deviation: on a base that moves, the shoulder's link is level at position 0"
+        reader.fail(f"{SHOULDER}.zero.deviation", "beside a base and an elbow", expected)
     if not any(axis.moves for axis in axes):
         reader.fail("", "no joint moves", f"{', '.join(PLACES)}: one at least with a drive, or passive")
     return tuple(axes), tuple(parameters)
@@ -128,8 +132,14 @@ def _axis(
     held = _is_held(entry)
     keys = [key for key in (_HELD_KEYS if held else _MOVING_KEYS) if key != "zero" or place != BASE]
     reader.keys(entry, place, keys, optional=("zero", "link") if held and place == BASE else ("zero", SENSOR))
-    zero = reader.quantity(entry["zero"], f"{place}.zero", "rad", -_TURNED, _TURNED) if "zero" in entry else 0.0
     numbers: list[MechanismParameter] = []
+    zero = 0.0
+    if "zero" in entry:
+        zero, deviation = _zero(reader, entry["zero"], f"{place}.zero")
+        if deviation and held:
+            reader.fail(f"{place}.zero.deviation", "of an axis that is held", "the deviation of an axis that moves")
+        if deviation:
+            numbers.append(MechanismParameter(f"{place}.zero", "rad", zero, deviation, False, False))
     if "link" in entry:
         numbers += _numbers(reader, entry["link"], f"{place}.link", quantities, "linkage", f"{place}.")
     if held:
@@ -138,7 +148,16 @@ def _axis(
     limits, scale, amplifier = moving(reader, entry, f"{place}.", "linkage")
     numbers += drive_numbers(reader, entry["drive"], f"{place}.drive", amplifier, "linkage", f"{place}.")
     sensor = link_sensor(reader, entry, f"{place}.", "linkage")
-    return Axis(place, amplifier, limits, scale, zero, link_sensor=sensor), numbers
+    free = bool(numbers) and numbers[0].name == f"{place}.zero"
+    return Axis(place, amplifier, limits, scale, zero, free, link_sensor=sensor), numbers
+
+
+def _zero(reader: Reader, entry: Any, key: str) -> tuple[float, float]:
+    """The angle at position 0 [rad] and its standard deviation, 0.0 where the file gives none."""
+    own = reader.entry(entry, key, "rad", further=("deviation",))
+    value = reader.number(own["value"], f"{key}.value", -_TURNED, _TURNED)
+    deviation = reader.number(own["deviation"], f"{key}.deviation", 1e-12, _TURNED) if "deviation" in own else 0.0
+    return value, deviation
 
 
 def _is_held(entry: Any) -> bool:
@@ -259,8 +278,9 @@ def linkage_mapping(linkage: Linkage) -> dict[str, Any]:
     }
     for axis in linkage.axes:
         place, zero = axis.place, {}
-        if axis.zero:
-            zero = {"zero": entry(f"{place}.zero", axis.zero, "rad")}
+        if axis.zero or axis.zero_free:
+            widths = {p.name: {"deviation": p.deviation} for p in linkage.parameters}
+            zero = {"zero": entry(f"{place}.zero", axis.zero, "rad", **widths.get(f"{place}.zero", {}))}
         link = {"link": group(f"{place}.link", {**LINK, **BASE_LINK}, f"{place}.")}
         if axis.moves:
             drive = {"amplifier": axis.amplifier, **group(f"{place}.drive", DRIVES[axis.amplifier], f"{place}.")}

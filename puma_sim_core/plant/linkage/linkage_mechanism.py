@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,7 +13,7 @@ from numpy.typing import ArrayLike
 from puma_sim_core.arm.arm import ArmParameters
 from puma_sim_core.effects import KINDS, Effect
 from puma_sim_core.errors import ParameterError
-from puma_sim_core.plant.carrier import carrier, layout_of
+from puma_sim_core.plant.carrier import carrier, layout_of, turn_of
 from puma_sim_core.plant.linkage.linkage import PASSIVE, POSITION, Axis, Linkage
 from puma_sim_core.plant.linkage.linkage_plant import LinkagePlant, obstacle
 from puma_sim_core.plant.lumped import LumpedMechanism
@@ -61,7 +62,10 @@ class LinkageMechanism(LumpedMechanism):
         return LinkagePlant.of(self.body, self.effects + tuple(effects), values)
 
     def possible(self, name: str, joint: int | None = None) -> bool:
-        return obstacle(self.body, KINDS[name], joint) is None
+        kind = KINDS[name]
+        if kind.shifts_zero and joint is not None and self.body.moving[joint - 1].zero_free:
+            return False  # a parameter already
+        return obstacle(self.body, kind, joint) is None
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -84,6 +88,9 @@ class LinkageMechanism(LumpedMechanism):
 
     def arm_of(self, theta: ArrayLike | None = None) -> ArmParameters:
         return carrier(self.body, self.values(theta))
+
+    def turn_of(self, theta: ArrayLike | None = None) -> tuple[Any, Any]:
+        return turn_of(self.body, self.values(theta))
 
     def of_links(self, name: str) -> bool:
         own = name.rpartition(".")[2]
