@@ -296,6 +296,39 @@ def test_an_effect_that_another_contains_leaves_its_size_to_it():
     assert left.model.point.effects[0].values["sliding"] == pytest.approx(most + least, rel=0.1)
 
 
+def test_a_rival_is_tried_in_the_form_that_suits_what_was_found_later():
+    true = parse_effect("load_dependent_friction:joint=1,coefficient=0.15,transmitted=0")
+    later = parse_effect("voltage_offset:joint=1,voltage=0.3")
+    plant = PENDULUM.plant(effects=(true, later))
+    problem, _, predictor = pieces(PENDULUM, record(PENDULUM, plant, volts=NOISE, noise=1e-5), NOISE, 1e-5)
+    fit = PredictionFit(predictor, predictor.unfiltered_weighting(predictor.errors(plant)))
+    base = fit.run(Point(PENDULUM.start, ()), (), rounds=8)
+    trials, tried = Trials(predictor, problem), []
+    for text, names in (
+        ("position_dependent_friction:joint=1,torque=0.05,amplitude=0.03,angle=1.5", ("torque", "amplitude", "angle")),
+        ("load_dependent_friction:joint=1,coefficient=0.1,transmitted=1", ("coefficient",)),
+        ("voltage_offset:joint=1,voltage=0.3", ("voltage",)),
+    ):
+        effect = parse_effect(text)
+        found, _ = fit.to_end(Point(PENDULUM.start, (effect,)), tuple((0, name) for name in names))
+        scored = Scored(effect.kind.name, 1, 100.0, values={name: effect.values[name] for name in names})
+        tried.append(Trial(scored, 100.0, 50.0, found, 3.0))
+    stages = (Stage(tuple(tried[:2]), 16.0, base, tried[0]), Stage((tried[2],), 16.0, base, tried[2]))
+    both = (tried[0].effect, tried[2].effect)
+    model, _ = fit.to_end(Point(PENDULUM.start, both), tuple((0, n) for n in tried[0].effect.values) + ((1, "voltage"),))
+    state = SelectionState(model, None, fit.weighting, tuple(Chosen.of(t, stages) for t in (tried[0], tried[2])), stages)
+    left = Elimination(trials, KINDS).eliminate(state)
+    assert left.keys == (("voltage_offset", 1), ("load_dependent_friction", 1))
+    assert left.model.point.effects[1].values == pytest.approx(true.values, abs=0.01)
+
+
+def test_friction_that_would_be_none_in_a_part_of_the_range_is_none_of_a_machine():
+    _, trials, _ = lacking(parse_effect("coulomb_friction:joint=1,torque=0.05"))
+    for amplitude, refused in ((0.03, False), (0.09, True)):
+        effect = parse_effect(f"position_dependent_friction:joint=1,torque=0.05,amplitude={amplitude},angle=3")
+        assert ("negative level" in (trials.implausible(effect) or "")) == refused
+
+
 def test_a_share_that_a_short_log_does_not_tell_is_none_on_a_bound():
     arm = load_mechanism()
     true = parse_effect("friction_warm_up:joint=2,share=0.85,time_constant=8")

@@ -13,6 +13,8 @@ from puma_sim_core.jit import Table, inlined
 
 #: variation over the position as a share of the level on machines, middle and one deviation
 _VARIATION = (0.0, 0.4)
+#: share of the greatest level by which the least may come out below zero, by chance
+_NEGATIVE = 0.15
 
 
 @inlined
@@ -34,18 +36,29 @@ def position_dependent(signals: Signals, joint: int) -> list[Candidate]:
     """sgn(qd), cos q sgn(qd) and sin q sgn(qd): level F0 + F1 cos(q - f)."""
     scale = float(signals.torque_scale[joint])
     q, direction = signals.position[:, joint], direction_of(signals, joint)
-    visited = np.linspace(q.min(), q.max(), 50)
+    low, high = float(q.min()), float(q.max())
 
     def values(c: np.ndarray) -> dict[str, float]:
         mean = level(c[0], "mean level", scale)
         amplitude, angle = polar(c[1], c[2])
-        levels = mean + amplitude * np.cos(visited - angle)
-        if levels.min() < -0.15 * levels.max():
-            raise Illegal(f"negative level {levels.min():.3g} N.m at q = {visited[levels.argmin()]:.3g} rad")
-        return {"torque": mean, "amplitude": amplitude, "angle": angle}
+        found = {"torque": mean, "amplitude": amplitude, "angle": angle}
+        reason = negative(found, low, high)
+        if reason is not None:
+            raise Illegal(reason)
+        return found
 
     columns = on_joint(joint, direction, np.cos(q) * direction, np.sin(q) * direction)
     return [candidate(columns, [0.5 * scale, 0.0, 0.0], [scale, 0.5 * scale, 0.5 * scale], values)]
+
+
+def negative(values: Values, low: float, high: float) -> str | None:
+    """Where the level would be negative at positions from `low` to `high`: friction of no machine is none over a part
+    of its range. None where it is not."""
+    visited = np.linspace(low, high, 50)
+    levels = values["torque"] + values["amplitude"] * np.cos(visited - values["angle"])
+    if levels.min() >= -_NEGATIVE * levels.max():
+        return None
+    return f"negative level {levels.min():.3g} N.m at q = {visited[levels.argmin()]:.3g} rad"
 
 
 def coordinates(values: Values, scale: float) -> np.ndarray:
@@ -83,6 +96,7 @@ EFFECT = Kind(
         coordinates=coordinates,
         size="amplitude",
         usual=usual,
+        illegal=negative,
     ),
     drawn_against=("position",),
     example="position_dependent_friction:joint=2,torque=8,amplitude=3",

@@ -110,6 +110,8 @@ class Screening:
     usual: Callable[[float], tuple[dict[str, float], ...]] | None = None
     #: (names of parameters, values, lowest and highest position of the log) -> those that the log tells of
     fitted: Callable[[list[str], Values, float, float], list[str]] | None = None
+    #: (values, lowest and highest position of the log) -> why no machine has these, None where one may
+    illegal: Callable[[Values, float, float], str | None] | None = None
     #: (nominal friction torque [N.m]) -> values from which it is tried where anything is missing, whatever screening
     #: says: what all but every geared drive has; None: it is not
     common: Callable[[float], dict[str, float]] | None = None

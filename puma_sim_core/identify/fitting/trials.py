@@ -310,8 +310,7 @@ class Trials:
         names = [name for name in values or () if _is_fitted(kind.parameter(name))]
         if kind.screening is None or kind.screening.fitted is None or joint is None:
             return names
-        q = self.problem.sampled.position[:, joint - 1]
-        return kind.screening.fitted(names, effect.values, float(q.min()), float(q.max()))
+        return kind.screening.fitted(names, effect.values, *self._range(joint))
 
     def effect(self, scored: Scored) -> Effect:
         """The effect of a hypothesis with its screened values, within their bounds."""
@@ -320,7 +319,7 @@ class Trials:
 
     def implausible(self, effect: Effect) -> str | None:
         """Why an effect can be none of this machine, None where it may be one."""
-        without_size = self._on_bound(effect) or self._unresolved(effect)
+        without_size = self._on_bound(effect) or self._unresolved(effect) or self._illegal(effect)
         if without_size is not None:
             return without_size
         joints = [effect.joint - 1] if effect.joint is not None else list(range(self.mechanism.joints))
@@ -350,6 +349,19 @@ class Trials:
                 if bound != 0.0 and abs(value - bound) <= FITTING.at_bound * abs(bound):
                     return f"{_IMPOSSIBLE}: {name} on the bound {bound:.3g} of what its law allows"
         return None
+
+    def _illegal(self, effect: Effect) -> str | None:
+        """Why no machine has the effect along this log, as its screening says it."""
+        screening = effect.kind.screening
+        if screening is None or screening.illegal is None or effect.joint is None:
+            return None
+        reason = screening.illegal(effect.values, *self._range(effect.joint))
+        return None if reason is None else f"{_IMPOSSIBLE}: {reason}"
+
+    def _range(self, joint: int) -> tuple[float, float]:
+        """Lowest and highest position of a joint (1-based) in the logs."""
+        q = self.problem.sampled.position[:, joint - 1]
+        return float(q.min()), float(q.max())
 
     def _unresolved(self, effect: Effect) -> str | None:
         """Why an error of the position is none of the machine's: an encoder's own is as large, half a step to each side

@@ -10,9 +10,11 @@ import numpy as np
 
 from puma_sim_core.effects import Effect, Kind
 from puma_sim_core.effects.base import Parameter, Role
+from puma_sim_core.errors import ParameterError
 from puma_sim_core.identify.fitting.dispersion import dispersion
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit, Slopes, bounded
 from puma_sim_core.identify.fitting.trials import Trial, Trials
+from puma_sim_core.identify.screening.causal import CausalScreen
 from puma_sim_core.identify.screening.evidence import Key
 from puma_sim_core.identify.selection.state import Chosen, SelectionState, Stage, accepting
 from puma_sim_core.identify.settings import SELECTION
@@ -99,9 +101,15 @@ class Elimination:
         if bare.objective - full.objective - chosen.occam < SELECTION.least_gain * scatter:
             return self.eliminate(replace(state, model=bare, jacobian=None, chosen=rest))
         best: tuple[float, Trial, Fitted] | None = None
-        for rival in self._rivals(state, chosen.key):
-            effect = rival.effect
-            moved = Point(bare.point.theta, (*bare.point.effects, effect))
+        rivals = self._rivals(state, chosen.key)
+        causal = CausalScreen(fit, bare.point, bare.errors, others.jacobian, self.trials.problem) if rivals else None
+        for rival in rivals:
+            # beside what was found later, another of its forms may be the right one
+            effects = [rival.effect, *self._screened_again(causal, rival)]
+            moved = fit.best_of(Point(bare.point.theta, (*bare.point.effects, effect)) for effect in effects)
+            if moved is None:
+                continue
+            effect = moved.effects[-1]
             free = [(len(rest), name) for name in self.trials.names(effect, effect.values)]
             tried = fit.run(moved, free, jacobian=others, frozen=frozen)
             if tried is None or self.trials.implausible(tried.point.effects[-1]):
@@ -115,6 +123,17 @@ class Elimination:
         gain = bare.objective - tried.objective - rival.occam
         new = Chosen.of(rival, state.history, accepting(state.history, chosen.key), gain)
         return replace(state, model=tried, jacobian=None, chosen=(*rest, new))
+
+    def _screened_again(self, causal: CausalScreen | None, rival: Trial) -> list[Effect]:
+        """The effect of a rival by a screening about another model, where that has one."""
+        kind = self.library[rival.name]
+        scored = None if causal is None or kind.two_masses else causal.score(kind, rival.joint)
+        if scored is None or scored.values is None:
+            return []
+        try:
+            return [self.trials.effect(scored)]
+        except ParameterError:
+            return []
 
     def _simplified(self, state: SelectionState, number: int) -> SelectionState:
         """The state with the simpler of an effect and those that it contains."""
