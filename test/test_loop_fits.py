@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from loop_fits import NOISE, PENDULUM, lacking
 from loop_logs import pieces, record
 
 from puma_sim_core.effects import KINDS, Effect, parse_effect
@@ -17,15 +18,12 @@ from puma_sim_core.identify.fitting.intervals import intervals
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit, Slopes, bounded_step
 from puma_sim_core.identify.fitting.trials import Base, Trial, Trials
 from puma_sim_core.identify.screening.evidence import Scored
-from puma_sim_core.identify.selection.elimination import Elimination
 from puma_sim_core.identify.selection.refits import Refits
-from puma_sim_core.identify.selection.state import Chosen, SelectionState, Stage
+from puma_sim_core.identify.selection.state import Stage
 from puma_sim_core.identify.settings import FITTING
 from puma_sim_core.plant.mechanism_file import load_mechanism
 
 pytestmark = pytest.mark.long
-NOISE = 0.02
-PENDULUM = load_mechanism("pendulum")
 #: how far the undisturbed motion goes [rad]
 HIGHEST = float(record(PENDULUM, PENDULUM.plant()).position.max())
 
@@ -159,18 +157,6 @@ def fit_of(mechanism, effect, seconds=1.0):
     return PredictionFit(predictor, predictor.unfiltered_weighting(raw)), raw
 
 
-def lacking(effect):
-    """The fitted model without an effect of a log of a pendulum with it, the trials, and the state of the selection."""
-    plant = PENDULUM.plant(effects=(effect,))
-    log = record(PENDULUM, plant, volts=NOISE, noise=1e-5)
-    problem, _, predictor = pieces(PENDULUM, log, NOISE, 1e-5)
-    fit = PredictionFit(predictor, predictor.unfiltered_weighting(predictor.errors(plant)))
-    base = fit.run(Point(PENDULUM.start, ()), (), rounds=8)
-    raw = fit.derivatives(base.point, ())
-    state = SelectionState(base, raw, fit.weighting)
-    return Base(fit, base, fit.whitened(raw)), Trials(predictor, problem), state
-
-
 def limited():
     """The fitted model of a log of a pendulum whose voltage has a limit, without it; the trials, the state of the
     selection, and a function of a limit [V] and parameters -> the trial from there."""
@@ -277,51 +263,6 @@ def test_a_variation_whose_amplitude_stuck_at_zero_is_tried_from_every_side():
     assert good.gain > plain.gain + 10.0 and again.gain > good.gain - 1.0
     # at no amplitude no angle helps
     assert trials.run(base, stuck.scored, Point(plain.fitted.point.theta, (nothing,))).gain < good.gain - 10.0
-
-
-def test_an_effect_that_another_contains_leaves_its_size_to_it():
-    true = parse_effect("stribeck_friction:joint=1,torque=0.03,velocity=0.08,sliding=0.05")
-    base, trials, state = lacking(true)
-    most, least = 0.046, 0.004
-    coulomb = parse_effect(f"coulomb_friction:joint=1,torque={most}")
-    bump = Effect(true.kind, 1, {**true.values, "sliding": least})
-    scored = [Scored(effect.kind.name, 1, 100.0, values=dict(effect.values)) for effect in (coulomb, bump)]
-    accepted = [trials.run(base, each) for each in scored]
-    history = tuple(Stage(tuple(accepted), 16.0, base.model, each) for each in accepted)
-    model = base.fit.run(Point(PENDULUM.start, (coulomb, bump)), (), rounds=8)
-    chosen = tuple(Chosen.of(each, history) for each in accepted)
-    both = replace(state, model=model, history=history, chosen=chosen)
-    left = Elimination(trials, KINDS).eliminate(both)
-    assert left.keys == (("stribeck_friction", 1),)
-    assert left.model.point.effects[0].values["sliding"] == pytest.approx(most + least, rel=0.1)
-
-
-def test_a_rival_is_tried_in_the_form_that_suits_what_was_found_later():
-    true = parse_effect("load_dependent_friction:joint=1,coefficient=0.15,transmitted=0")
-    later = parse_effect("voltage_offset:joint=1,voltage=0.3")
-    plant = PENDULUM.plant(effects=(true, later))
-    problem, _, predictor = pieces(PENDULUM, record(PENDULUM, plant, volts=NOISE, noise=1e-5), NOISE, 1e-5)
-    fit = PredictionFit(predictor, predictor.unfiltered_weighting(predictor.errors(plant)))
-    base = fit.run(Point(PENDULUM.start, ()), (), rounds=8)
-    trials, tried = Trials(predictor, problem), []
-    for text, names in (
-        ("position_dependent_friction:joint=1,torque=0.05,amplitude=0.03,angle=1.5", ("torque", "amplitude", "angle")),
-        ("load_dependent_friction:joint=1,coefficient=0.1,transmitted=1", ("coefficient",)),
-        ("voltage_offset:joint=1,voltage=0.3", ("voltage",)),
-    ):
-        effect = parse_effect(text)
-        found, _ = fit.to_end(Point(PENDULUM.start, (effect,)), tuple((0, name) for name in names))
-        scored = Scored(effect.kind.name, 1, 100.0, values={name: effect.values[name] for name in names})
-        tried.append(Trial(scored, 100.0, 50.0, found, 3.0))
-    stages = (Stage(tuple(tried[:2]), 16.0, base, tried[0]), Stage((tried[2],), 16.0, base, tried[2]))
-    both = (tried[0].effect, tried[2].effect)
-    names = (*((0, name) for name in tried[0].effect.values), (1, "voltage"))
-    model, _ = fit.to_end(Point(PENDULUM.start, both), names)
-    chosen = tuple(Chosen.of(each, stages) for each in (tried[0], tried[2]))
-    state = SelectionState(model, None, fit.weighting, chosen, stages)
-    left = Elimination(trials, KINDS).eliminate(state)
-    assert left.keys == (("voltage_offset", 1), ("load_dependent_friction", 1))
-    assert left.model.point.effects[1].values == pytest.approx(true.values, abs=0.01)
 
 
 def test_friction_that_would_be_none_in_a_part_of_the_range_is_none_of_a_machine():

@@ -130,12 +130,17 @@ class PredictionFit:
 
     def best_of(self, points: Iterable[Point]) -> Point | None:
         """The point that fits best as it is, None where none can be run."""
-        best: tuple[float, Point] | None = None
+        best = self.lowest_of(points)
+        return None if best is None else best[0]
+
+    def lowest_of(self, points: Iterable[Point]) -> tuple[Point, float] | None:
+        """The point that fits best as it is, and its objective [nat]; None where none can be run."""
+        best: tuple[Point, float] | None = None
         for point in points:
             errors = self.errors(point)
-            if errors is not None and (best is None or self.objective(errors, point) < best[0]):
-                best = self.objective(errors, point), point
-        return None if best is None else best[1]
+            if errors is not None and (best is None or self.objective(errors, point) < best[1]):
+                best = point, self.objective(errors, point)
+        return best
 
     def prior(self, point: Point, pairs: Pairs) -> tuple[Floats, Floats]:
         """(c,) slopes of the objective's priors by parameters of effects, per size, and (c,) prior precisions."""

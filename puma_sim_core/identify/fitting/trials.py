@@ -4,7 +4,7 @@
 A trial counts by its gain of log likelihood less the Occam factor, its gain on the validation set, and its sizes.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -265,7 +265,7 @@ class Trials:
         if not screened.two_mass:
             sizes = self._sizes(screened.effects[-1], name)
             starts += [(theta, size) for theta in (screened.theta, self.mechanism.start) for size in sizes]
-        found = _lowest_of(fit, screened, number, name, starts)
+        found = fit.lowest_of(_of_value(screened, number, name, starts))
         if found is None:
             return screened
         size = found[0].effects[number].values[name]
@@ -274,7 +274,7 @@ class Trials:
         ratio = FITTING.threshold_starts[-1] / FITTING.threshold_starts[-2]
         farthest = FITTING.above_plausible * max(self._sizes(screened.effects[-1], name), default=0.0)
         while size >= most and (most := ratio * most) <= farthest:
-            further = _lowest_of(fit, screened, number, name, [(found[0].theta, most)])
+            further = fit.lowest_of(_of_value(screened, number, name, [(found[0].theta, most)]))
             if further is None or further[1] >= found[1]:
                 break
             found, size = further, most
@@ -403,22 +403,11 @@ def unseen(scored: Scored) -> bool:
     return scored.best is None and not kind.two_masses and bool(kind.screening and kind.screening.unseen)
 
 
-def _lowest_of(
-    fit: PredictionFit, model: Point, number: int, name: str, starts: Iterable[tuple[Floats, float]]
-) -> tuple[Point, float] | None:
-    """The best of several (parameters, value of one parameter of an effect) for a model, and its objective; None where
-    none can be run."""
-    best: tuple[Point, float] | None = None
+def _of_value(model: Point, number: int, name: str, starts: Iterable[tuple[Floats, float]]) -> Iterator[Point]:
+    """A model with several (parameters, value of one parameter of an effect)."""
     for theta, value in starts:
         effects = with_value(model.effects, number, name, value, clip=True)
-        point = Point(theta, effects or model.effects)
-        errors = fit.errors(point)
-        if errors is None:
-            continue
-        objective = fit.objective(errors, point)
-        if best is None or objective < best[1]:
-            best = point, objective
-    return best
+        yield Point(theta, effects or model.effects)
 
 
 def _lowest(*fits: Fitted | None) -> Fitted | None:

@@ -1,0 +1,26 @@
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
+"""Models of a pendulum that lack an effect, for tests of fits."""
+
+from __future__ import annotations
+
+from loop_logs import pieces, record
+
+from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
+from puma_sim_core.identify.fitting.trials import Base, Trials
+from puma_sim_core.identify.selection.state import SelectionState
+from puma_sim_core.plant.mechanism_file import load_mechanism
+
+NOISE = 0.02
+PENDULUM = load_mechanism("pendulum")
+
+
+def lacking(effect):
+    """The fitted model without an effect of a log of a pendulum with it, the trials, and the state of the selection."""
+    plant = PENDULUM.plant(effects=(effect,))
+    log = record(PENDULUM, plant, volts=NOISE, noise=1e-5)
+    problem, _, predictor = pieces(PENDULUM, log, NOISE, 1e-5)
+    fit = PredictionFit(predictor, predictor.unfiltered_weighting(predictor.errors(plant)))
+    base = fit.run(Point(PENDULUM.start, ()), (), rounds=8)
+    raw = fit.derivatives(base.point, ())
+    state = SelectionState(base, raw, fit.weighting)
+    return Base(fit, base, fit.whitened(raw)), Trials(predictor, problem), state

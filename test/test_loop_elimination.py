@@ -1,0 +1,64 @@
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
+"""What becomes of chosen effects beside those that were found later."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from loop_fits import NOISE, PENDULUM, lacking
+from loop_logs import pieces, record
+
+from puma_sim_core.effects import KINDS, Effect, parse_effect
+from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
+from puma_sim_core.identify.fitting.trials import Trial, Trials
+from puma_sim_core.identify.screening.evidence import Scored
+from puma_sim_core.identify.selection.elimination import Elimination
+from puma_sim_core.identify.selection.state import Chosen, SelectionState, Stage
+
+pytestmark = pytest.mark.long
+
+
+def test_an_effect_that_another_contains_leaves_its_size_to_it():
+    true = parse_effect("stribeck_friction:joint=1,torque=0.03,velocity=0.08,sliding=0.05")
+    base, trials, state = lacking(true)
+    most, least = 0.046, 0.004
+    coulomb = parse_effect(f"coulomb_friction:joint=1,torque={most}")
+    bump = Effect(true.kind, 1, {**true.values, "sliding": least})
+    scored = [Scored(effect.kind.name, 1, 100.0, values=dict(effect.values)) for effect in (coulomb, bump)]
+    accepted = [trials.run(base, each) for each in scored]
+    history = tuple(Stage(tuple(accepted), 16.0, base.model, each) for each in accepted)
+    model = base.fit.run(Point(PENDULUM.start, (coulomb, bump)), (), rounds=8)
+    chosen = tuple(Chosen.of(each, history) for each in accepted)
+    both = replace(state, model=model, history=history, chosen=chosen)
+    left = Elimination(trials, KINDS).eliminate(both)
+    assert left.keys == (("stribeck_friction", 1),)
+    assert left.model.point.effects[0].values["sliding"] == pytest.approx(most + least, rel=0.1)
+
+
+def test_a_rival_is_tried_in_the_form_that_suits_what_was_found_later():
+    true = parse_effect("load_dependent_friction:joint=1,coefficient=0.15,transmitted=0")
+    later = parse_effect("voltage_offset:joint=1,voltage=0.3")
+    plant = PENDULUM.plant(effects=(true, later))
+    problem, _, predictor = pieces(PENDULUM, record(PENDULUM, plant, volts=NOISE, noise=1e-5), NOISE, 1e-5)
+    fit = PredictionFit(predictor, predictor.unfiltered_weighting(predictor.errors(plant)))
+    base = fit.run(Point(PENDULUM.start, ()), (), rounds=8)
+    trials, tried = Trials(predictor, problem), []
+    for text, names in (
+        ("position_dependent_friction:joint=1,torque=0.05,amplitude=0.03,angle=1.5", ("torque", "amplitude", "angle")),
+        ("load_dependent_friction:joint=1,coefficient=0.1,transmitted=1", ("coefficient",)),
+        ("voltage_offset:joint=1,voltage=0.3", ("voltage",)),
+    ):
+        effect = parse_effect(text)
+        found, _ = fit.to_end(Point(PENDULUM.start, (effect,)), tuple((0, name) for name in names))
+        scored = Scored(effect.kind.name, 1, 100.0, values={name: effect.values[name] for name in names})
+        tried.append(Trial(scored, 100.0, 50.0, found, 3.0))
+    stages = (Stage(tuple(tried[:2]), 16.0, base, tried[0]), Stage((tried[2],), 16.0, base, tried[2]))
+    both = (tried[0].effect, tried[2].effect)
+    names = (*((0, name) for name in tried[0].effect.values), (1, "voltage"))
+    model, _ = fit.to_end(Point(PENDULUM.start, both), names)
+    chosen = tuple(Chosen.of(each, stages) for each in (tried[0], tried[2]))
+    state = SelectionState(model, None, fit.weighting, chosen, stages)
+    left = Elimination(trials, KINDS).eliminate(state)
+    assert left.keys == (("voltage_offset", 1), ("load_dependent_friction", 1))
+    assert left.model.point.effects[1].values == pytest.approx(true.values, abs=0.01)
