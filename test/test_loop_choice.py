@@ -121,47 +121,53 @@ def test_a_difference_counts_beyond_two_standard_errors_of_a_sum():
     assert 0.014 < found / 2000 < 0.04
 
 
-@pytest.mark.parametrize("scatter, wanted", [(1.0, "asymmetric_coulomb_friction"), (4.0, "coulomb_friction")])
-def test_a_simpler_effect_may_be_worse_by_what_the_model_misfits(scatter, wanted):
-    richer, plain = trial(("asymmetric_coulomb_friction", 2), 100.0), trial(("coulomb_friction", 2), 95.0)
-    found = Selection._parsimonious(SimpleNamespace(library=KINDS), richer, [richer, plain], scatter)
-    assert found.name == wanted
+ROWS = 400
+#: one log of 4 s, whose rows all count
+PREDICTOR = SimpleNamespace(
+    stretches=[SimpleNamespace(time=0.01 * np.arange(ROWS + 1))], fit_rows=np.ones((ROWS, 2), dtype=bool)
+)
+CHOOSER = SimpleNamespace(library=KINDS, predictor=PREDICTOR)
 
 
-@pytest.mark.parametrize("limit, wanted", [(97.5, "current_limit"), (96.0, "impulse")])
-def test_a_limit_that_was_met_once_goes_before_a_blow(limit, wanted):
-    chooser = SimpleNamespace(library=KINDS)
-    blow, other = trial(("impulse", 2), 100.0), trial(("current_limit", 2), limit)
-    elsewhere = trial(("current_limit", 1), 99.9)
-    found = Selection._parsimonious(chooser, blow, [blow, other, elsewhere], 1.0)
-    assert found.key == (wanted, 2)
+def worse_by(likelihood, effect=None):
+    """A model without errors, and at a distance from it by which its log likelihood is so much less [nat]."""
+    away = np.full((ROWS, 2), np.sqrt(likelihood / ROWS))
+    return Fitted(Point(np.zeros(1), () if effect is None else (effect,)), away, 0.0, ())
 
 
 @pytest.mark.parametrize(
-    "name, simpler, price, gain, wanted",
+    "name, simpler, less, wanted",
     [
-        # a further coefficient is paid for in the gain: no more is asked for it
-        ("stribeck_friction", "coulomb_friction", 12.0, 100.5, "stribeck_friction"),
-        ("stribeck_friction", "coulomb_friction", 12.0, 99.5, "coulomb_friction"),
-        # kinds that cost as much as one that they contain must be better all the same
-        ("soft_stop", "joint_spring", 6.0, 101.0, "joint_spring"),
-        ("soft_stop", "joint_spring", 6.0, 102.0, "soft_stop"),
+        # two standard errors of a log likelihood ratio of L nat, which has the variance 2 L, are L at 8 nat
+        ("asymmetric_coulomb_friction", "coulomb_friction", 7.9, "coulomb_friction"),
+        ("asymmetric_coulomb_friction", "coulomb_friction", 8.1, "asymmetric_coulomb_friction"),
+        ("soft_stop", "joint_spring", 7.9, "joint_spring"),
+        ("soft_stop", "joint_spring", 8.1, "soft_stop"),
+        # a limit that was met once goes before a blow
+        ("impulse", "current_limit", 20.0, "current_limit"),
+        ("impulse", "current_limit", 35.0, "impulse"),
     ],
 )
-def test_of_kinds_that_contain_each_other_the_simpler_goes_first(name, simpler, price, gain, wanted):
-    richer, plain = trial((name, 2), gain, price), trial((simpler, 2), 100.0, 6.0)
-    best = max(richer, plain, key=lambda t: t.gain)
-    found = Selection._parsimonious(SimpleNamespace(library=KINDS), best, [richer, plain], 1.0)
-    assert found.name == wanted
+def test_of_effects_that_contain_each_other_the_simpler_goes_first_unless_clearly_worse(name, simpler, less, wanted):
+    effect = SimpleNamespace(kind=KINDS[name], values={p.name: p.low for p in KINDS[name].parameters})
+    best = replace(trial((name, 2), 1000.0), fitted=worse_by(0.0, effect))
+    plain = replace(trial((simpler, 2), 1000.0 - less), fitted=worse_by(less))
+    elsewhere = replace(trial((simpler, 1), 999.9), fitted=worse_by(0.1))
+    assert Selection._parsimonious(CHOOSER, best, [best, plain, elsewhere]).key == (wanted, 2)
+
+
+def test_a_simpler_effect_that_costs_more_than_it_is_worse_goes_first():
+    richer = replace(trial(("stribeck_friction", 2), 99.5, 12.0), fitted=worse_by(0.0))
+    plain = replace(trial(("coulomb_friction", 2), 100.0, 6.0), fitted=worse_by(6.5))
+    assert Selection._parsimonious(CHOOSER, plain, [richer, plain]) is plain
 
 
 @pytest.mark.parametrize("stiffness, wanted", [(2e4, "presliding_friction"), (1e6, "coulomb_friction")])
 def test_a_bristle_as_stiff_as_it_may_be_is_none(stiffness, wanted):
     bristle = parse_effect(f"presliding_friction:joint=2,torque=8,stiffness={stiffness}")
-    stiff = replace(trial(("presliding_friction", 2), 120.0, 8.0), fitted=fitted(bristle))
-    plain = trial(("coulomb_friction", 2), 100.0, 6.0)
-    found = Selection._parsimonious(SimpleNamespace(library=KINDS), stiff, [stiff, plain], 1.0)
-    assert found.name == wanted
+    stiff = replace(trial(("presliding_friction", 2), 120.0, 8.0), fitted=worse_by(0.0, bristle))
+    plain = replace(trial(("coulomb_friction", 2), 100.0, 6.0), fitted=worse_by(22.0))
+    assert Selection._parsimonious(CHOOSER, stiff, [stiff, plain]).name == wanted
 
 
 def test_rivals_are_the_best_and_those_that_contain_what_was_chosen():
@@ -254,9 +260,7 @@ def test_a_further_name_needs_what_chance_and_misfit_ask_whatever_the_first_one_
     first = trial(("current_limit", 3), 284632.0)
     further = trial(("payload", None), gain, validation_gain=validation_gain)
     state = state_of([Stage((first,), 48.0, fitted(), first)], first)
-    chooser = SimpleNamespace(
-        _threshold=lambda state: (SELECTION.least_gain, 1.0), _parsimonious=lambda best, trials, scatter: best
-    )
+    chooser = SimpleNamespace(_threshold=lambda state: SELECTION.least_gain, _parsimonious=lambda best, trials: best)
     stage = Selection.decide(chooser, replace(state, trials=(further,))).history[-1]
     assert (stage.accepted is not None) == named
     assert (stage.threshold, stage.threshold_untried) == (SELECTION.least_gain, SELECTION.least_untried)
@@ -267,11 +271,16 @@ def test_effects_that_one_contains_are_those_tried_beside_it():
     others = [("coulomb_friction", 2), ("coulomb_friction", 1), ("voltage_dead_band", 2)]
     trials = (chosen, *(replace(trial(key, 90.0), fitted=fitted()) for key in others))
     state = state_of([Stage(trials, 15.0, None, chosen)], chosen)
-    assert [t.key for t in elimination()._contained(state, chosen.key)] == [("coulomb_friction", 2)]
+    assert [t.key for t in elimination()._contained(state, 0)] == [("coulomb_friction", 2)]
     # a blow fits any single event: what it contains is chosen elsewhere
     blow = trial(("impulse", 2), 100.0)
     stage = Stage((blow, replace(trial(("current_limit", 2), 99.0), fitted=fitted())), 15.0, None, blow)
-    assert elimination()._contained(state_of([stage], blow), blow.key) == []
+    assert elimination()._contained(state_of([stage], blow), 0) == []
+    # one that took the place of another has the trials of that one's stage
+    first = replace(trial(("coulomb_friction", 2), 110.0), fitted=fitted())
+    stage = Stage((first, replace(chosen, fitted=fitted())), 15.0, None, first)
+    instead = state_of([stage], Chosen.of(chosen, (stage,), stage, 100.0))
+    assert [t.key for t in elimination()._contained(instead, 0)] == [("coulomb_friction", 2)]
 
 
 @pytest.mark.parametrize(
@@ -305,13 +314,16 @@ def test_effects_whose_trials_had_not_come_to_their_end_are_fitted_to_it(ends, i
     position, *others = (tried("position", 100.0, 10.0), tried("coulomb", 20.0, 6.0), tried("asymmetric", 80.0, 8.0))
     stage = Stage((position, *others), 16.0, None, position)
     ending = {full[short]: objective for short, objective in ends.items()}
+    lowest = min(ends.values())
+
+    def ended(at, objective):
+        return replace(worse_by(objective - lowest), point=at, objective=objective)
+
     monkeypatch.setattr(
-        PredictionFit,
-        "to_end",
-        lambda fit, at, pairs: (Fitted(at, np.zeros((4, 3)), ending[at.effects[0].kind.name], ()), None),
+        PredictionFit, "to_end", lambda fit, at, pairs: (ended(at, ending[at.effects[0].kind.name]), None)
     )
     trials = SimpleNamespace(
-        predictor=SimpleNamespace(fit_rows=None, mechanism=None),
+        predictor=SimpleNamespace(mechanism=None, **vars(PREDICTOR)),
         free=lambda point: (),
         implausible=lambda effect: effect.kind.name in {full[short] for short in impossible},
     )

@@ -8,8 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from puma_sim_core.identify.fitting.dispersion import blocks, dispersion
-from puma_sim_core.identify.settings import FITTING
+from puma_sim_core.identify.fitting.dispersion import blocks, clearly_better, dispersion
+from puma_sim_core.identify.settings import FITTING, SELECTION
 
 ROWS, STEP, JOINTS = 2000, 0.01, 2
 
@@ -83,3 +83,38 @@ def test_few_blocks_show_no_scatter():
     one = predictor(200)
     jacobian, errors = np.ones((int(one.fit_rows.sum()), 1)), 100.0 * np.ones((200, JOINTS))
     assert dispersion(one, jacobian, errors, 0) == 1.0
+
+
+def better_by(errors, away):
+    """Whether a model with these innovations is clearly better than one that adds some to them."""
+    models = (SimpleNamespace(errors=errors), SimpleNamespace(errors=errors + away))
+    return clearly_better(predictor(ROWS), *models)
+
+
+def test_of_true_models_two_standard_errors_are_those_of_the_log_likelihood_ratio():
+    """A model that is off by w in a true one's innovations is worse by w'w/2 + w'e, of standard error |w|."""
+    one, found = predictor(ROWS), 0
+    for seed in range(300):
+        rng = np.random.default_rng(seed)
+        errors, away = rng.standard_normal((2, ROWS, JOINTS))
+        away[~one.fit_rows] = 0.0
+        away *= 2.0 * SELECTION.standard_errors / np.linalg.norm(away)
+        found += better_by(errors, away)
+    # the difference lies at twice its standard error: chance decides, less where blocks scatter more than noise
+    assert 0.3 < found / 300 < 0.55
+
+
+def test_a_difference_that_turns_with_what_the_better_model_lacks_is_no_clear_one():
+    rng = np.random.default_rng(6)
+    errors, away = rng.standard_normal((2, ROWS, JOINTS))
+    away *= 6.0 / np.linalg.norm(away)
+    assert better_by(errors, away)
+    # the same mean, and blocks of which half would have the other model, half more than this one
+    turn = np.where(blocks(predictor(ROWS)) % 2, 1.0, -1.0)[:, None]
+    assert not better_by(errors + 3.0 * turn * away / np.abs(away).max(), away)
+
+
+def test_rows_that_are_not_fitted_to_do_not_count():
+    one, away = predictor(ROWS), np.zeros((ROWS, JOINTS))
+    away[~one.fit_rows.any(axis=1)] = 100.0
+    assert not better_by(np.zeros((ROWS, JOINTS)), away)

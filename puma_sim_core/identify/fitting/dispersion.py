@@ -10,13 +10,18 @@ What a model lacks, or a noise that is too small, makes B greater: evidence [nat
 the criterion of Takeuchi (1976, Suri-Kagaku 153:12) over its value for a true model, and the variance inflation of
 quasi-likelihood (Wedderburn 1974, Biometrika 61:439; Burnham and Anderson 2002, Model Selection, section 2.5). A gain
 over c is the same whatever size of noise was assumed: both go with one over its variance.
+
+Two models are compared in the one direction in which they differ, d = e' - e with e the innovations of the better: its
+log likelihood is greater by d'e + d'd/2, and chance moves that by the sum of the blocks' d_k'e_k, of variance d'd where
+the better model is true. The greater of that and what the blocks show is its standard error.
 """
 
 import numpy as np
 
 from puma_sim_core.identify.arrays import Floats, Ints
+from puma_sim_core.identify.fitting.prediction import Fitted
 from puma_sim_core.identify.fitting.predictor import Predictor
-from puma_sim_core.identify.settings import FITTING
+from puma_sim_core.identify.settings import FITTING, SELECTION
 
 
 def dispersion(predictor: Predictor, jacobian: Floats, errors: Floats, priors: int) -> float:
@@ -48,6 +53,16 @@ def dispersion(predictor: Predictor, jacobian: Floats, errors: Floats, priors: i
     found = float(np.trace(answered[:, p:])) / effective * count / (count - 1.0)
     uncertain = FITTING.dispersion_errors * np.sqrt(2.0 / (count * effective))
     return max(1.0, found / (1.0 + uncertain))
+
+
+def clearly_better(predictor: Predictor, better: Fitted, other: Fitted) -> bool:
+    """Whether one model fits better than another beyond what chance, or what the better one misfits, may do."""
+    rows = predictor.fit_rows
+    left = np.where(rows, better.errors, 0.0)
+    apart = np.where(rows, other.errors - better.errors, 0.0)
+    squares, along = float((apart**2).sum()), (apart * left).sum(axis=1)
+    variance = max(squares, float((np.bincount(blocks(predictor), along) ** 2).sum()))
+    return float(along.sum()) + 0.5 * squares > SELECTION.standard_errors * np.sqrt(variance)
 
 
 def blocks(predictor: Predictor) -> Ints:

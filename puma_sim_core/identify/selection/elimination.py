@@ -11,7 +11,7 @@ import numpy as np
 from puma_sim_core.effects import Effect, Kind
 from puma_sim_core.effects.base import Parameter, Role
 from puma_sim_core.errors import ParameterError
-from puma_sim_core.identify.fitting.dispersion import dispersion
+from puma_sim_core.identify.fitting.dispersion import clearly_better, dispersion
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit, Slopes, bounded
 from puma_sim_core.identify.fitting.trials import Trial, Trials
 from puma_sim_core.identify.screening.causal import CausalScreen
@@ -115,8 +115,8 @@ class Elimination:
             if tried is None or self.trials.implausible(tried.point.effects[-1]):
                 continue
             gain = full.objective - tried.objective - rival.occam + chosen.occam
-            if gain > SELECTION.replacement_gain * scatter and (best is None or gain > best[0]):
-                best = gain, rival, tried
+            if gain > SELECTION.replacement_gain * scatter and clearly_better(self.predictor, tried, full):
+                best = max(best or (gain, rival, tried), (gain, rival, tried), key=lambda found: found[0])
         if best is None:
             return None
         _, rival, tried = best
@@ -137,7 +137,7 @@ class Elimination:
 
     def _simplified(self, state: SelectionState, number: int) -> SelectionState:
         """The state with the simpler of an effect and those that it contains."""
-        contained = self._contained(state, state.keys[number])
+        contained = self._contained(state, number)
         if not contained:
             return state
         fit, chosen, start = PredictionFit(self.predictor, state.noise), state.chosen[number], state.model.point
@@ -162,8 +162,8 @@ class Elimination:
             # as of any rival: a coin would not turn out the same in another log
             best = rival if _cost(rival) < _cost(first) - SELECTION.replacement_gain else first
         lost = simpler[0].objective - best[0].objective
-        less = best[1].occam - simpler[1].occam
-        fitted, trial = simpler if lost < max(SELECTION.parsimony, less + SELECTION.exact * chosen.gain) else best
+        hardly = lost < best[1].occam - simpler[1].occam + SELECTION.exact * chosen.gain
+        fitted, trial = simpler if hardly or not clearly_better(self.predictor, best[0], simpler[0]) else best
         if trial is own:
             return state
         gain = chosen.gain + first[0].objective - fitted.objective + own.occam - trial.occam
@@ -171,12 +171,13 @@ class Elimination:
         chosen_now = (*state.chosen[:number], new, *state.chosen[number + 1 :])
         return replace(state, model=fitted, jacobian=None, chosen=chosen_now)
 
-    def _contained(self, state: SelectionState, key: Key) -> list[Trial]:
-        """Trials, beside the one by which an effect was accepted, of the effects that it contains."""
-        stage, kind = accepting(state.history, key), self.library[key[0]]
-        if stage is None or kind.screening is None or kind.screening.generous:
+    def _contained(self, state: SelectionState, number: int) -> list[Trial]:
+        """Trials, beside the one of an effect, of the effects that it contains."""
+        (name, joint), stage = state.keys[number], state.chosen[number].stage
+        kind = self.library[name]
+        if kind.screening is None or kind.screening.generous:
             return []
-        return [t for t in _open(stage, state.keys) if t.joint == key[1] and t.name in kind.contains]
+        return [t for t in _open(stage, state.keys) if t.joint == joint and t.name in kind.contains]
 
     def _rivals(self, state: SelectionState, key: Key) -> list[Trial]:
         """Trials that may take the place of an accepted effect: the best, and those that contain it."""

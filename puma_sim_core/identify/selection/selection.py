@@ -13,7 +13,7 @@ import numpy as np
 
 from puma_sim_core.effects import KINDS, Kind
 from puma_sim_core.identify.arrays import Floats
-from puma_sim_core.identify.fitting.dispersion import dispersion
+from puma_sim_core.identify.fitting.dispersion import clearly_better, dispersion
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
 from puma_sim_core.identify.fitting.trials import Trial, Trials, unseen
 from puma_sim_core.identify.memory import release
@@ -148,26 +148,23 @@ class Selection:
 
     def decide(self, state: SelectionState) -> SelectionState:
         """End the stage with the effect that the log asks for, if there is one."""
-        threshold, scatter = self._threshold(state)
-        trials = state.trials
+        threshold, trials = self._threshold(state), state.trials
         if state.doubted is not None:
             # a row noise that is no more than the changes from row to row makes much of what repeats, such as the
             # steps of an encoder: where the other noise is refused, a gain must hold in both
-            there, other = self._threshold(state.doubted)
-            trials, threshold = in_both(trials, threshold, state.doubted.trials, there)
-            scatter = min(scatter, other)
+            trials, threshold = in_both(trials, threshold, state.doubted.trials, self._threshold(state.doubted))
         trials = tuple(sorted(trials, key=lambda t: -t.gain))
         doubted = state.doubted is not None
         state = replace(state, trials=trials, retuned=state.retuned or state.model, doubted=None)
         best, accepted = state.best, None
         if best is not None and best.gain > SELECTION.least_gain:
-            accepted = self._parsimonious(best, trials, scatter)
+            accepted = self._parsimonious(best, trials)
         stage = Stage(trials, threshold, state.model, None, doubted)
         if accepted is not None and best is not None:
             # one that does not lower the error on the validation set is replaced by the next that does
             passing = [t for t in trials if _passes(t, stage, best)]
             if accepted not in passing:
-                accepted = self._parsimonious(passing[0], passing, scatter) if passing else None
+                accepted = self._parsimonious(passing[0], passing) if passing else None
         return replace(state, history=(*state.history, replace(stage, accepted=accepted)))
 
     def add(self, state: SelectionState) -> SelectionState:
@@ -229,20 +226,20 @@ class Selection:
         errors = np.column_stack([found[number][:, j] for j, number in enumerate(numbers.tolist())])
         return innovations.weighting(self.predictor, errors)
 
-    def _threshold(self, state: SelectionState) -> tuple[float, float]:
-        """The gain [nat] that a name needs in the noise of a state, by what chance gives, and the dispersion of its
-        best model."""
+    def _threshold(self, state: SelectionState) -> float:
+        """The gain [nat] that a name needs in the noise of a state, by what chance gives."""
         best = state.best
         if best is None or best.gain <= SELECTION.least_gain:
-            return SELECTION.least_gain, 1.0
+            return SELECTION.least_gain
         fit, model = PredictionFit(self.predictor, state.noise), best.model
         jacobian = fit.whitened(fit.derivatives(model.point, self.trials.free(model.point), state.nearby))
         causal = CausalScreen(fit, model.point, model.errors, jacobian, self.problem)
         chance = level(self._placebo(state, causal))
-        scatter = dispersion(self.predictor, jacobian, model.errors, len(model.point.theta))
+        if not state.chosen:
+            return max(SELECTION.least_gain, chance)
         # beside an effect, what that one misfits counts as well; the first one takes up misfit itself
-        least = SELECTION.least_gain * (scatter if state.chosen else 1.0)
-        return max(least, chance), scatter
+        scatter = dispersion(self.predictor, jacobian, model.errors, len(model.point.theta))
+        return max(SELECTION.least_gain * scatter, chance)
 
     def _placebo(self, state: SelectionState, causal: CausalScreen) -> Floats:
         """(k,) greatest gains [nat] of the shifted innovations of a screen over all that the short list is taken of."""
@@ -251,18 +248,17 @@ class Selection:
         greatest: Floats = np.max([placebos.gains(causal.pairs(kind, joint)) for kind, joint in asked], axis=0)
         return greatest
 
-    def _parsimonious(self, best: Trial, trials: Iterable[Trial], scatter: float) -> Trial:
-        """The best trial, or one on its joint that it contains and that is hardly worse, in a model's dispersion."""
+    def _parsimonious(self, best: Trial, trials: Iterable[Trial]) -> Trial:
+        """The best trial, or one on its joint that it contains and that is not clearly worse."""
         kind = self.library[best.name]
         assert kind.screening is not None
         contains, least = kind.contains, max(SELECTION.exact, kind.screening.generous) * best.gain
 
         def enough(t: Trial) -> bool:
-            # the Occam factor of a further coefficient is in the gains already
-            room = max(SELECTION.parsimony * scatter - (best.occam - t.occam), least)
-            return t.gain > best.gain - room or best.vanishing
+            hardly = t.gain > best.gain - least or best.vanishing
+            return hardly or not clearly_better(self.predictor, best.model, t.model)
 
-        own = (t for t in trials if t.problem is None and t.joint == best.joint and t.name in contains)
+        own = (t for t in trials if t.possible and t.joint == best.joint and t.name in contains)
         return max(filter(enough, own), key=lambda t: t.gain, default=best)
 
 

@@ -27,8 +27,6 @@ class Selection:
     replacement_share: float = 0.4  #: of the best gain, where the best fails on the validation set [calibrated]
 
     # --- effects that contain one another
-    #: gain [nat] over a contained effect, Occam factors included [calibrated]
-    parsimony: float = 1.5
     replacement_gain: float = 3.0  #: gain [nat] that an effect must be better by than one that it replaces [calibrated]
     exact: float = 1e-4  #: share of a gain to which fits are exact at best: it counts in a log without noise
     #: share of its gain from which on a rival is tried in the place of an effect, and how many
