@@ -108,7 +108,11 @@ def explain(
     if not faults and mechanism.links_known:
         is_compiled("identification")  # a program may wait here until it is
         doubts = [doubt for each in checked for doubt in each.doubts]
-        stages = Stages(prepare(parts, mechanism, progress), seed, progress, beside, doubts)
+        prepared = prepare(parts, mechanism, progress)
+        cuts += prepared.cuts
+        faults = list(prepared.cuts) if strict else []
+    if not faults and mechanism.links_known:
+        stages = Stages(prepared, seed, progress, beside, doubts)
         release()
         state = stages.select()
         faults = wrong_zeros(state.history) or stages.unexplained(state, doubts)

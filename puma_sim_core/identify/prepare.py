@@ -2,14 +2,18 @@
 """Logs made ready for the selection: sampling, retuned parameters, noise, Kalman predictor."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from puma_sim_core.effects import KINDS, Kind
+from puma_sim_core.identify.arrays import Floats
+from puma_sim_core.identify.checks.start_up import held_starts
 from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.data.sampling import sample
+from puma_sim_core.identify.fitting.prediction import Point
 from puma_sim_core.identify.fitting.predictor import Predictor, RowChoice
+from puma_sim_core.identify.result import Fault
 from puma_sim_core.identify.screening.problem import Problem
 from puma_sim_core.identify.screening.search import Fit, Search
 from puma_sim_core.identify.settings import FITTING
@@ -30,7 +34,7 @@ class Prepared:
     """What the selection starts from.
 
     library : name -> effect, of those that the mechanism may have; retuned : parameters by filtered motion, without
-    effects.
+    effects; cuts : starts of logs that were left out.
     """
 
     logs: tuple[Log, ...]
@@ -39,6 +43,7 @@ class Prepared:
     search: Search
     retuned: Fit
     predictor: Predictor
+    cuts: tuple[Fault, ...] = ()
 
     def validation(self, problem: Problem) -> list[RowChoice]:
         """For each log which of its rows are of the validation set of a problem."""
@@ -46,15 +51,26 @@ class Prepared:
 
     def beside(self, logs: Sequence[Log]) -> tuple[Problem, Predictor]:
         """Logs outside the analysis, all of them the validation set, in the noise of the analysis."""
-        sampled = sample(logs)
-        problem, mechanism = Problem(sampled, self.problem.mechanism, None), self.problem.mechanism
+        problem, mechanism = Problem(sample(logs), self.problem.mechanism, None), self.problem.mechanism
         noise = self.problem.sampled.position_noise
         chosen = _validation(problem, len(logs))
-        return problem, Predictor(logs, mechanism, chosen, None, noise, self.predictor.expected)
+        predictor = Predictor(logs, mechanism, chosen, None, noise, self.predictor.expected)
+        left, cuts = _without_starts(logs, mechanism, predictor, self.retuned.theta)
+        return self.beside(left) if cuts else (problem, predictor)
 
 
 def prepare(logs: Sequence[Log], mechanism: Mechanism, progress: Callable[[str, float], None] = silent) -> Prepared:
-    """Sample logs, retune the parameters, and make the predictor; blocks of the logs are the validation set."""
+    """Sample logs, retune the parameters, and make the predictor; blocks of the logs are the validation set.
+
+    Starts of logs that no input explains are left out.
+    """
+    found = _prepared(logs, mechanism, progress)
+    left, cuts = _without_starts(logs, mechanism, found.predictor, found.retuned.theta)
+    return replace(_prepared(left, mechanism, progress), cuts=tuple(cuts)) if cuts else found
+
+
+def _prepared(logs: Sequence[Log], mechanism: Mechanism, progress: Callable[[str, float], None]) -> Prepared:
+    """What the selection starts from, with all rows."""
     sampled = sample(logs)
     problem = Problem(sampled, mechanism)
     library = library_of(mechanism)
@@ -71,6 +87,15 @@ def prepare(logs: Sequence[Log], mechanism: Mechanism, progress: Callable[[str, 
     noise = np.clip(noise, FITTING.least_expected_noise * scale, FITTING.greatest_expected_noise * scale)
     predictor = Predictor(logs, mechanism, _validation(problem, len(logs)), None, sampled.position_noise, noise)
     return Prepared(tuple(logs), problem, library, search, retuned, predictor)
+
+
+def _without_starts(
+    logs: Sequence[Log], mechanism: Mechanism, predictor: Predictor, theta: Floats
+) -> tuple[list[Log], list[Fault]]:
+    """Logs without starts that no input explains, and the faults of these. theta (p,) : retuned parameters."""
+    held = held_starts(logs, predictor, predictor.errors(Point(theta, ()).plant(mechanism)))
+    left = [log if fault is None else log.part(slice(fault.rows, None)) for log, fault in zip(logs, held)]
+    return left, [fault for fault in held if fault is not None]
 
 
 def _validation(problem: Problem, logs: int) -> list[RowChoice]:

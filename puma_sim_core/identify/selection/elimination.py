@@ -115,7 +115,8 @@ class Elimination:
             if tried is None or self.trials.implausible(tried.point.effects[-1]):
                 continue
             gain = full.objective - tried.objective - rival.occam + chosen.occam
-            if gain > SELECTION.replacement_gain * scatter and clearly_better(self.predictor, tried, full):
+            better = not self._contains(rival, chosen.key[0]) or clearly_better(self.predictor, tried, full)
+            if better and gain > SELECTION.replacement_gain * scatter:
                 best = max(best or (gain, rival, tried), (gain, rival, tried), key=lambda found: found[0])
         if best is None:
             return None

@@ -142,6 +142,16 @@ class Checks:
     row_limit: float = 0.97  #: share of its greatest at which it is at its limit
     row_beside_motion: float = 8.0  #: a frozen one over the residual, beside the motion's
 
+    #: a start that no input explains (`start_up`): windows [s] and their least rows, the longest start [s], which the
+    #: authors of the rotary pendulum leave out, what must follow it [s], and its mean square over the worst later one:
+    #: 14 and 37 where a hand held that pendulum (development logs); docs/method.md has synthetic ones
+    start_window: float = 0.05
+    start_window_rows: float = 3.0
+    start_longest: float = 1.0
+    start_beside: float = 2.0
+    start_excess: float = 3.0
+    start_elsewhere: float = 0.05  #: share of its rows whose position or voltage is not met again
+
     zero_clearer: float = 20.0  #: what its gain must exceed that of every effect that may be named by [nat]
 
 
