@@ -337,6 +337,15 @@ def test_what_was_interrupted_goes_on_and_other_code_does_not_count(tmp_path, da
     assert [row["mark"] for row in rows] == ["right", "not measured yet", "cannot be described yet"]
 
 
+@pytest.mark.parametrize("role, explained", [("development", ["tiny/one"]), ("test", ["tiny/two"])])
+def test_runs_of_one_role_leave_the_others_alone(role, explained, tmp_path, data, monkeypatch):
+    path, asked, answer = small_list(tmp_path), [], outcome(report("NAMED", effect("coulomb_friction", 1)))
+    path.write_text(path.read_text().replace("role: development, logs: [absent.csv]", "role: test, logs: [t.csv]"))
+    monkeypatch.setattr(program, "in_a_process", lambda job, limit: asked.append(job.name) or answer)
+    bench(tmp_path, data, "--role", role)
+    assert asked == explained
+
+
 def test_a_process_that_takes_too_long_or_dies_is_an_error_and_is_tried_again(tmp_path, data):
     path = small_list(tmp_path)
     rigs = read_rigs(path)

@@ -4,6 +4,7 @@
   python test/rigs/run.py --out build/rigs                       all machines; logs from PUMA_SIM_DATA
   python test/rigs/run.py --out build/rigs --only xl330,emps --no-invariances
   python test/rigs/run.py --out build/rigs --quick               the first run of each machine alone
+  python test/rigs/run.py --out build/rigs --role development    no run with a test log
   python test/rigs/run.py --out build/rigs --invariances time_shifted,mirrored
 
 Each explanation is a process of its own. Its outcome is kept in OUT/outcomes.jsonl as soon as it is there, so that a
@@ -211,7 +212,8 @@ def put_table(page: Path, text: str) -> None:
 
 def _asked(rig: Rig, given: argparse.Namespace) -> list[Run]:
     """The runs of a machine that can be described and are asked for."""
-    runs = [run for run in rig.runs if run.needs is None and given.run in run.key]
+    roles = catalogue.ROLES if given.role is None else (given.role,)
+    runs = [run for run in rig.runs if run.needs is None and given.run in run.key and run.role in roles]
     return runs[:1] if given.quick else runs
 
 
@@ -248,6 +250,7 @@ def _parser() -> argparse.ArgumentParser:
         "--only", action="append", default=[], metavar="RIG,...", help="machines to explain (default: all)"
     )
     parser.add_argument("--run", default="", metavar="TEXT", help="runs whose RIG/NAME has this text")
+    parser.add_argument("--role", choices=catalogue.ROLES, help="runs of this role alone (default: both)")
     parser.add_argument("--quick", action="store_true", help="the first run of each machine, no invariances")
     parser.add_argument(
         "--invariances",
