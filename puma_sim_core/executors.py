@@ -23,6 +23,7 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import partial
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from queue import Empty, SimpleQueue
 from typing import Any, NamedTuple, TypeVar
@@ -340,6 +341,8 @@ def _inherited(variables: dict[str, str]) -> Iterator[None]:
     """Variables, and deafness to Ctrl-C, for a process that is started in the block, one at a time."""
     before = {name: os.environ.get(name) for name in variables}
     os.environ.update(variables)
+    # its first start leaves the signal unblocked
+    resource_tracker.ensure_running()
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

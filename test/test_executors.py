@@ -35,6 +35,8 @@ def work(item):
         os._exit(value)
     elif order == "unpicklable":
         return lambda: value
+    elif order == "mask":
+        return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])
     elif order == "environment":
         return {name: os.environ.get(name) for name in value}
     return value
@@ -135,6 +137,26 @@ if __name__ == "__main__":
     except KeyboardInterrupt:
         sys.exit(130)
 """
+
+
+DEAF = """
+import sys
+sys.path.insert(0, {test!r})
+from puma_sim_core.executors import open_executor, run_jobs
+from test_executors import work
+if __name__ == "__main__":
+    with open_executor(2) as executor:
+        # two at least that each process gets one
+        print(*run_jobs(work, [("mask", None)] * 8, executor))
+"""
+
+
+def test_no_process_hears_ctrl_c_not_even_the_first_of_a_program(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(DEAF.format(test=str(ROOT / "test")))
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    found = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True, env=environment)
+    assert found.stdout.split() == ["True"] * 8
 
 
 def living(group: int) -> list[str]:
