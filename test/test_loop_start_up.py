@@ -103,7 +103,9 @@ def test_a_drive_that_is_off_at_first_leaves_the_answer_of_the_rest():
     assert [e.parameters for e in alone.effects] == [e.parameters for e in found.effects]
     assert not alone.cuts
     # and a held-out log is read without its start, too
-    tables = explain(of_friction(), held_out=[log], plant="pendulum").errors
+    found = explain(of_friction(), held_out=[replace(log, name="beside")], plant="pendulum")
+    assert any("beside is read without: position1, does not answer" in note for note in found.notes)
+    tables = found.errors
     assert tables["held_out_logs"].voltage_rms.augmented < 1.5 * tables["fit"].voltage_rms.augmented
 
 

@@ -113,6 +113,8 @@ def explain(
         faults = list(prepared.cuts) if strict else []
     if not faults and mechanism.links_known:
         stages = Stages(prepared, seed, progress, beside, doubts)
+        if stages.beside is not None:
+            unusable += [_read_without(name, cut) for name, cut in stages.beside.cuts.items()]
         release()
         state = stages.select()
         faults = wrong_zeros(state.history) or stages.unexplained(state, doubts)
@@ -178,8 +180,13 @@ def usable(held_out: list[Log], mechanism: Mechanism) -> tuple[list[Log], list[s
         if found.faults:
             notes.append(f"Held-out log {log.name} is left out. {fault_sentence(list(found.faults))}")
         else:
-            notes += [f"Held-out log {log.name} is read without: {cut.channel}, {cut.what}." for cut in found.cuts]
+            notes += [_read_without(log.name, cut) for cut in found.cuts]
     return parts, notes
+
+
+def _read_without(name: str, cut: Fault) -> str:
+    """A note on rows of a held-out log that are left out."""
+    return f"Held-out log {name} is read without: {cut.channel}, {cut.what}."
 
 
 class Stages:
@@ -305,7 +312,7 @@ class Stages:
         tables = {"fit": self.folds.folds[0].validation.errors(plants, residuals, floor, noise)}
         tables |= self.folds.errors({"nominal": start, **weighted}, floor, noise)
         if self.beside is not None:
-            beside = CrossValidation.of(*self.beside, self.prepared.validation)
+            beside = CrossValidation.of(self.beside.problem, self.beside.predictor, self.prepared.validation)
             tables["held_out_logs"] = beside.errors({"nominal": start, **weighted}, floor, noise)["held_out"]
         return residuals, tables
 

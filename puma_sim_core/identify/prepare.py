@@ -1,8 +1,10 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Logs made ready for the selection: sampling, retuned parameters, noise, Kalman predictor."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,6 +31,14 @@ def library_of(mechanism: Mechanism) -> dict[str, Kind]:
     return {name: kind for name, kind in KINDS.items() if kind.screening is not None and mechanism.possible(name)}
 
 
+class Beside(NamedTuple):
+    """Logs outside the analysis; cuts : starts that were left out, by the names of their logs."""
+
+    problem: Problem
+    predictor: Predictor
+    cuts: Mapping[str, Fault] = MappingProxyType({})
+
+
 @dataclass(frozen=True)
 class Prepared:
     """What the selection starts from.
@@ -49,14 +59,14 @@ class Prepared:
         """For each log which of its rows are of the validation set of a problem."""
         return _validation(problem, len(self.logs))
 
-    def beside(self, logs: Sequence[Log]) -> tuple[Problem, Predictor]:
+    def beside(self, logs: Sequence[Log]) -> Beside:
         """Logs outside the analysis, all of them the validation set, in the noise of the analysis."""
         problem, mechanism = Problem(sample(logs), self.problem.mechanism, None), self.problem.mechanism
         noise = self.problem.sampled.position_noise
         chosen = _validation(problem, len(logs))
         predictor = Predictor(logs, mechanism, chosen, None, noise, self.predictor.expected)
         left, cuts = _without_starts(logs, mechanism, predictor, self.retuned.theta)
-        return self.beside(left) if cuts else (problem, predictor)
+        return self.beside(left)._replace(cuts=cuts) if cuts else Beside(problem, predictor)
 
 
 def prepare(logs: Sequence[Log], mechanism: Mechanism, progress: Callable[[str, float], None] = silent) -> Prepared:
@@ -66,7 +76,7 @@ def prepare(logs: Sequence[Log], mechanism: Mechanism, progress: Callable[[str, 
     """
     found = _prepared(logs, mechanism, progress)
     left, cuts = _without_starts(logs, mechanism, found.predictor, found.retuned.theta)
-    return replace(_prepared(left, mechanism, progress), cuts=tuple(cuts)) if cuts else found
+    return replace(_prepared(left, mechanism, progress), cuts=tuple(cuts.values())) if cuts else found
 
 
 def _prepared(logs: Sequence[Log], mechanism: Mechanism, progress: Callable[[str, float], None]) -> Prepared:
@@ -91,11 +101,12 @@ def _prepared(logs: Sequence[Log], mechanism: Mechanism, progress: Callable[[str
 
 def _without_starts(
     logs: Sequence[Log], mechanism: Mechanism, predictor: Predictor, theta: Floats
-) -> tuple[list[Log], list[Fault]]:
-    """Logs without starts that no input explains, and the faults of these. theta (p,) : retuned parameters."""
+) -> tuple[list[Log], dict[str, Fault]]:
+    """Logs without starts that no input explains, and the faults of these by the names of their logs. theta (p,) :
+    retuned parameters."""
     held = held_starts(logs, predictor, predictor.errors(Point(theta, ()).plant(mechanism)))
     left = [log if fault is None else log.part(slice(fault.rows, None)) for log, fault in zip(logs, held)]
-    return left, [fault for fault in held if fault is not None]
+    return left, {log.name: fault for log, fault in zip(logs, held) if fault is not None}
 
 
 def _validation(problem: Problem, logs: int) -> list[RowChoice]:

@@ -2,8 +2,8 @@
 """The start of a log, in which a hand may hold the machine, or a drive may be off.
 
 The model without effects predicts the log; what it misfits in the first windows is compared with the worst of the
-later ones. No effect that goes on acting makes it many times as large at the start alone, unless the joint is in a
-position, or under a voltage, that it does not come to again: a stop or a limit may be met there.
+later ones. No effect that goes on acting makes it many times as large at the start alone, unless the joint that is held
+longest is in a position, or under a voltage, that it does not come to again: a stop or a limit may be met there.
 """
 
 from collections.abc import Iterator, Sequence
@@ -50,8 +50,8 @@ def _within(values: Floats, others: Floats) -> bool:
 
 
 def _until(time: Floats, errors: Floats) -> Iterator[float]:
-    """Of each joint the end [s] of the windows that are worse than any later one, if they begin before
-    it has settled; 0 where none is so by far. time (n,) : from the start of the log on."""
+    """Of each joint the end [s] of the windows that are worse than any later one, and begin before the predictor has
+    settled; 0 where none is so by far. time (n,) : from the start of the log on."""
     width = max(CHECKS.start_window, CHECKS.start_window_rows * float(np.median(np.diff(time))))
     number = (time / width).astype(int)
     later = np.unique(number[time >= CHECKS.start_longest])

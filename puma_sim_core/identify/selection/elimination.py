@@ -115,9 +115,10 @@ class Elimination:
             if tried is None or self.trials.implausible(tried.point.effects[-1]):
                 continue
             gain = full.objective - tried.objective - rival.occam + chosen.occam
-            better = not self._contains(rival, chosen.key[0]) or clearly_better(self.predictor, tried, full)
-            if better and gain > SELECTION.replacement_gain * scatter:
-                best = max(best or (gain, rival, tried), (gain, rival, tried), key=lambda found: found[0])
+            if gain <= SELECTION.replacement_gain * scatter or (best is not None and gain <= best[0]):
+                continue
+            if not self._contains(rival, chosen.key[0]) or clearly_better(self.predictor, tried, full):
+                best = gain, rival, tried
         if best is None:
             return None
         _, rival, tried = best
