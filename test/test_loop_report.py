@@ -323,6 +323,9 @@ def test_numbers_read_well(value, shown):
 def test_estimates_have_the_digits_that_their_intervals_deserve():
     assert estimate(Interval(9.973, 9.81, 10.14, "N.m")) == ("9.97", "9.81 to 10.14", "N\N{MIDDLE DOT}m")
     assert estimate(Interval(8.1e-4, 7.6e-4, 8.6e-4, "rad")) == ("0.810", "0.760 to 0.860", "mrad")
+    # the friction of a small machine
+    assert estimate(Interval(5.21e-4, 4.44e-4, 6.41e-4, "N.m")) == ("0.521", "0.444 to 0.641", "mN\N{MIDDLE DOT}m")
+    assert estimate(Interval(0.174, 0.16, 0.19, "N.m")) == ("0.174", "0.160 to 0.190", "N\N{MIDDLE DOT}m")
     assert estimate(Interval(2.0, 1.0, np.inf, "1")) == ("2.00", "1.00 to no bound", "")
     assert quantity(1.5e-3, "s") == "1.50\N{NO-BREAK SPACE}ms"
 

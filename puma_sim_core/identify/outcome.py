@@ -152,7 +152,7 @@ def _sentence(
     text = f"The model lacks {' and '.join(parts)}; by parameters fitted to other rows of the logs the residual "
     text += " and ".join(_change(errors["held_out"].voltage_rms, joint) for joint in joints)
     if verdict == result.NAMED_WITH_REMAINDER and curve is not None:
-        text += f"; beside that something over {curve.axis} of joint {curve.joint} is left that has no name"
+        text += f"; beside that something on joint {curve.joint} over {curve.axis} is left that has no name"
     return f"{text}; {times}." if times else f"{text}."
 
 

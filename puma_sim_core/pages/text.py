@@ -15,7 +15,7 @@ _RAISED = str.maketrans(
     f"-{MINUS}+0123456789", "\u207b\u207b\u207a\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079"
 )
 #: units that readers know with a prefix
-_SCALED = ("rad", "m", "s", "V", "A")
+_SCALED = ("rad", "m", "s", "V", "A", "N.m")
 _PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
 _HYPHENED = {
     "load dependent": "load-dependent",
@@ -74,7 +74,7 @@ def scale(values: Iterable[float], name: str) -> tuple[float, str]:
     sizes = np.abs(np.asarray(list(values), dtype=float).ravel())
     sizes = sizes[np.isfinite(sizes)]
     largest = float(sizes.max()) if sizes.size else 0.0
-    if largest == 0.0 or largest >= 0.5 or (largest >= 0.05 and name in ("V", "A", "s")):
+    if largest == 0.0 or largest >= 0.5 or (largest >= 0.05 and name in ("V", "A", "s", "N.m")):
         return 1.0, name
     return (1e3, f"m{name}") if largest >= 5e-5 else (1e6, f"\N{MICRO SIGN}{name}")
 
