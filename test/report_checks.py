@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 from puma_sim_core.effects import KINDS
-from puma_sim_core.identify.settings import FITTING
 from puma_sim_core.pages.text import scale
 
 Report = Mapping[str, Any]
@@ -73,13 +72,9 @@ def places_are_one(report: Report) -> Iterator[str]:
 
 
 def leads_are_differences(report: Report) -> Iterator[str]:
-    """How much lower a hypothesis is, is the difference of the two evidences given; of ties it is small."""
+    """How much lower a hypothesis is, is the difference of the two evidences given."""
     effects = {key(effect): effect["evidence"] for effect in report["effects"]}
     for row in report["ranking"]:
-        if row["verdict"] == "tied":
-            one, other = effects[key(row["against"])], row["evidence"]
-            if abs(one - other) > max(FITTING.tie, FITTING.tie_share * max(one, other)):
-                yield f"{key(row)} is tied with {one - other:.1f} nat between the two"
         said = re.match(r"lower than .* by (-?\d+) nat", row["verdict"])
         if said and row["against"] is not None:
             lead = effects[key(row["against"])] - row["evidence"]

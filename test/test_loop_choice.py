@@ -14,7 +14,7 @@ from puma_sim_core.effects import KINDS, parse_effect
 from puma_sim_core.identify.checks.wrong_zero import wrong_zeros
 from puma_sim_core.identify.explain import retracted
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
-from puma_sim_core.identify.fitting.trials import Trial, Trials, tied
+from puma_sim_core.identify.fitting.trials import Trial, Trials
 from puma_sim_core.identify.residuals.unnamed import Explained, curve_preferred
 from puma_sim_core.identify.screening.evidence import Scored
 from puma_sim_core.identify.selection.elimination import Elimination
@@ -334,26 +334,6 @@ def test_effects_whose_trials_had_not_come_to_their_end_are_fitted_to_it(ends, i
     assert after.chosen[0].occam == next(t.occam for t in stage.trials if t.name == full[wanted])
     # the state before stays as it was
     assert before.keys == (position.key,) and before.model is position.fitted
-
-
-@pytest.mark.parametrize(
-    "best, other, wanted",
-    [
-        (100.0, 93.0, True),
-        (100.0, 91.0, False),
-        # of much evidence a small share is no difference
-        (10000.0, 9975.0, True),
-        (10000.0, 9960.0, False),
-    ],
-)
-def test_a_tie_is_a_difference_that_the_log_cannot_show(best, other, wanted):
-    assert tied(trial(A, best), trial(B, other)) is wanted
-
-
-def test_a_tie_is_as_wide_as_what_the_model_misfits():
-    near, far = trial(B, 100.0 - 15.0), trial(B, 100.0 - 17.0)
-    assert tied(trial(A, 100.0), near, 2.0) and not tied(trial(A, 100.0), near)
-    assert not tied(trial(A, 100.0), far, 2.0)
 
 
 def test_what_more_of_makes_less_of_an_effect_is_not_too_much():

@@ -19,10 +19,16 @@ from puma_sim_core.identify.report.tables import ranking as shown
 from puma_sim_core.identify.result import Hypothesis
 from puma_sim_core.identify.selection.state import Chosen, Stage
 from puma_sim_core.identify.standing import ranking, ruled_out, standings, ties
+from puma_sim_core.identify.standing import tied as cannot_tell
 
 COULOMB, ASYMMETRIC = ("coulomb_friction", 1), ("asymmetric_coulomb_friction", 1)
 DEAD_BAND, SPRING, OFFSET = ("voltage_dead_band", 1), ("joint_spring", 2), ("voltage_offset", 2)
 BLOW = ("impulse", 1)
+
+
+def told_apart(one, other):
+    """Trials whose innovations show what their gains do."""
+    return True
 
 
 def two_effects():
@@ -39,7 +45,7 @@ def two_effects():
 
 
 def test_an_effect_has_its_gain_over_the_model_without_it_everywhere():
-    rows = {row.key: row for row in standings(two_effects())}
+    rows = {row.key: row for row in standings(two_effects(), told_apart)}
     assert (rows[SPRING].evidence, rows[SPRING].verdict) == (300.0, "named")
     assert (rows[COULOMB].evidence, rows[COULOMB].verdict) == (900.0, "named")
     # what could stand in for an effect: its gain in that place, not beside it
@@ -51,7 +57,7 @@ def test_an_effect_has_its_gain_over_the_model_without_it_everywhere():
 
 
 def test_what_is_enough_is_not_tied_with_what_contains_it():
-    rows = standings(two_effects())
+    rows = standings(two_effects(), told_apart)
     assert ties(rows, COULOMB) == (Hypothesis(*DEAD_BAND),)
     because = {(out.name, out.joint): out.because for out in ruled_out(rows, COULOMB)}
     assert because[ASYMMETRIC] == "it contains Coulomb friction, which is enough"
@@ -63,8 +69,48 @@ def test_what_is_enough_is_not_tied_with_what_contains_it():
     assert because["sensor_nonlinearity", 1] == refused
 
 
+@pytest.mark.parametrize(
+    "best, other, wanted",
+    [
+        (100.0, 93.0, True),
+        (100.0, 91.0, False),
+        # of much evidence a small share is no difference
+        (10000.0, 9975.0, True),
+        (10000.0, 9960.0, False),
+    ],
+)
+def test_a_tie_is_a_difference_that_the_log_cannot_show(best, other, wanted):
+    one, two = trial(COULOMB, best), trial(DEAD_BAND, other)
+    assert cannot_tell(one, two, told_apart) is cannot_tell(two, one, told_apart) is wanted
+
+
+def test_what_does_not_fit_clearly_better_is_tied_however_much_its_gain():
+    def clearly(one, other):
+        assert one.gain > other.gain
+        return other.key == OFFSET
+
+    best, near, far = trial(COULOMB, 900.0), trial(DEAD_BAND, 700.0), trial(OFFSET, 700.0)
+    assert cannot_tell(best, near, clearly) and cannot_tell(near, best, clearly)
+    assert not cannot_tell(best, far, clearly) and not cannot_tell(far, best, clearly)
+
+
+def test_what_replaced_another_is_compared_by_the_trial_that_was_accepted():
+    """The one that replaced it may have been far behind in that stage, and is nearer in the model that was found."""
+    accepted, rival = trial(DEAD_BAND, 100.0), trial(COULOMB, 60.0)
+    third = trial(("torque_ripple", 1), 80.0)
+    stage = Stage((accepted, third, rival), 16.0, None, accepted)
+    compared = []
+
+    def clearly(one, other):
+        compared.append((one.key, other.key))
+        return True
+
+    standings(state_of((stage,), Chosen.of(rival, (stage,), stage, 140.0)), clearly)
+    assert compared == [(DEAD_BAND, ("torque_ripple", 1))]
+
+
 def test_what_no_machine_has_is_no_rival():
-    e = replace(tied(), effects=tied().effects[:1], ranking=ranking(standings(two_effects())))
+    e = replace(tied(), effects=tied().effects[:1], ranking=ranking(standings(two_effects(), told_apart)))
     e = replace(e, effects=(replace(e.effects[0], name="coulomb_friction", joint=1, evidence=900.0, tied_with=()),))
     found = rivals(replace(e, ranking=tuple(each for each in e.ranking if each.joint == 1)))
     assert [(each.name, lead(e, each)) for each in found] == [
@@ -77,7 +123,7 @@ def test_an_effect_that_replaced_another_keeps_the_distances_of_the_stage():
     accepted, rival, third = trial(DEAD_BAND, 100.0), trial(COULOMB, 95.0), trial(("torque_ripple", 1), 60.0)
     stage = Stage((accepted, rival, third), 16.0, None, accepted)
     state = state_of((stage,), Chosen.of(rival, (stage,), stage, 140.0))
-    rows = {row.key: row for row in standings(state)}
+    rows = {row.key: row for row in standings(state, told_apart)}
     assert rows[COULOMB].evidence == 140.0
     assert math.isnan(rows[DEAD_BAND].evidence) and "Coulomb friction explains more" in rows[DEAD_BAND].verdict
     assert rows["torque_ripple", 1].evidence == 100.0

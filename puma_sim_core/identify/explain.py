@@ -5,7 +5,7 @@ import os
 import time as clock
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -40,7 +40,7 @@ from puma_sim_core.identify.selection.cross_validation import CrossValidation
 from puma_sim_core.identify.selection.selection import Selection
 from puma_sim_core.identify.selection.state import SelectionState
 from puma_sim_core.identify.settings import CHECKS
-from puma_sim_core.identify.standing import NAMED, TIED, standings
+from puma_sim_core.identify.standing import NAMED, TIED, clearly, standings
 from puma_sim_core.jit import is_compiled
 from puma_sim_core.plant.mechanism import Mechanism
 from puma_sim_core.plant.mechanism_file import load_mechanism
@@ -279,7 +279,8 @@ class Stages:
         Of these, and of what is tied with them, it is that in the model without any, and no larger than the one found.
         """
         self.progress("what could have been seen", 0.93)
-        alike = {row.key: row.trial.effect for row in standings(state) if row.verdict in (NAMED, TIED)}
+        tried = standings(state, partial(clearly, self.predictor))
+        alike = {row.key: row.trial.effect for row in tried if row.verdict in (NAMED, TIED)}
         alike |= dict(zip(state.keys, state.model.point.effects))
         fit, bare = self.fit(state), state.weighted_retuned.fitted
         beside = CausalScreen(fit, state.model.point, state.model.errors, fit.whitened(state.derivatives), self.problem)

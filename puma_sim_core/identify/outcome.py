@@ -3,6 +3,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from puma_sim_core.identify.residuals.shape import Curve, describe
 from puma_sim_core.identify.residuals.unnamed import remainder
 from puma_sim_core.identify.selection.state import SelectionState
 from puma_sim_core.identify.settings import RESIDUALS
-from puma_sim_core.identify.standing import Standing, ranking, ruled_out, standings, ties
+from puma_sim_core.identify.standing import Standing, clearly, ranking, ruled_out, standings, ties
 from puma_sim_core.pages.text import effect_name, scale
 from puma_sim_core.plant.mechanism import Mechanism
 
@@ -54,7 +55,7 @@ def fault_sentence(faults: list[result.Fault]) -> str:
 def compose(found: Findings) -> result.Explanation:
     """The explanation from all stages."""
     s, m = found.state, found.prepared.problem.mechanism
-    rows = standings(s)
+    rows = standings(s, partial(clearly, found.prepared.predictor))
     names = _named(found, rows)
     volts = found.errors["fit"].voltage_rms
     unnamed = remainder(s, found.curves, found.chance, np.asarray(volts.augmented) / volts.floor)

@@ -7,16 +7,23 @@ would have there. Any other one has the gain that it would add to the last model
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from puma_sim_core.effects import KINDS
-from puma_sim_core.identify.fitting.trials import Trial, tied
+from puma_sim_core.identify.fitting.dispersion import clearly_better
+from puma_sim_core.identify.fitting.predictor import Predictor
+from puma_sim_core.identify.fitting.trials import Trial
 from puma_sim_core.identify.result import Hypothesis, Ranked, RuledOut
 from puma_sim_core.identify.screening.evidence import Key
 from puma_sim_core.identify.selection.state import Chosen, SelectionState, Stage
+from puma_sim_core.identify.settings import FITTING
 from puma_sim_core.pages.text import effect_name
 
 NAMED, TIED = "named", "tied"
+
+#: whether the first trial of a stage fits clearly better than the second
+Better = Callable[[Trial, Trial], bool]
 
 
 @dataclass(frozen=True)
@@ -36,13 +43,13 @@ class Standing:
     trial: Trial
 
 
-def standings(state: SelectionState) -> tuple[Standing, ...]:
+def standings(state: SelectionState, better: Better) -> tuple[Standing, ...]:
     """Those of all hypotheses that were tried, the greatest evidence first."""
     rows = [Standing(c.key, float(c.gain), NAMED, None, True, c.trial) for c in state.chosen]
     last = {trial.key: (stage, trial) for stage in state.history for trial in stage.trials}
     for key, (stage, trial) in last.items():
         if key not in state.keys:
-            rows.append(_in_place(state, key) or _added(state, stage, trial))
+            rows.append(_in_place(state, key, better) or _added(state, stage, trial))
     return tuple(sorted(rows, key=lambda row: (math.isnan(row.evidence), -row.evidence)))
 
 
@@ -71,14 +78,14 @@ def ruled_out(rows: tuple[Standing, ...], key: Key) -> tuple[RuledOut, ...]:
     return tuple(out)
 
 
-def _in_place(state: SelectionState, key: Key) -> Standing | None:
+def _in_place(state: SelectionState, key: Key, better: Better) -> Standing | None:
     """A hypothesis in the place of the effect that it comes nearest to; None where it could take that of none."""
     found = [
         (row, _on_one_joint(chosen.key, key))
         for chosen in state.chosen
         for trial in chosen.stage.trials
         if trial.key == key
-        for row in [_beside(state, chosen, trial)]
+        for row in [_beside(chosen, trial, better)]
         if _on_one_joint(chosen.key, key) or row.verdict == TIED
     ]
     # -inf: what was replaced is nearest to what replaced it
@@ -89,17 +96,29 @@ def _in_place(state: SelectionState, key: Key) -> Standing | None:
     return found[order.index(min(order))][0] if found else None
 
 
+def clearly(predictor: Predictor, one: Trial, other: Trial) -> bool:
+    """Whether one of two trials of a stage fits clearly better, in the noise of that stage."""
+    return clearly_better(predictor, one.model, other.model)
+
+
+def tied(one: Trial, other: Trial, better: Better) -> bool:
+    """Whether the log cannot tell two trials of a stage apart."""
+    less, more = sorted((one, other), key=lambda t: t.gain)
+    near = more.gain - less.gain < max(FITTING.tie, FITTING.tie_share * more.gain)
+    return near or not better(more, less)
+
+
 def _on_one_joint(one: Key, other: Key) -> bool:
     return one[1] == other[1] or None in (one[1], other[1])
 
 
-def _beside(state: SelectionState, chosen: Chosen, trial: Trial) -> Standing:
+def _beside(chosen: Chosen, trial: Trial, better: Better) -> Standing:
     """A trial of the stage that accepted an effect, or the one that the effect replaced later."""
     accepted = chosen.stage.accepted
-    replaced = accepted is not None and accepted.key != chosen.key
-    reference = accepted.gain if replaced and accepted is not None else chosen.gain
-    evidence = float(chosen.gain - (reference - trial.gain))
-    if replaced and accepted is not None and trial.key == accepted.key:
+    # what replaced another keeps that one's distances
+    reference = chosen.trial if accepted is None or accepted.key == chosen.key else accepted
+    evidence = float(chosen.gain - (reference.gain - trial.gain))
+    if trial.key == reference.key:
         evidence = math.nan
     named = effect_name(chosen.key[0], lower=True)
     if trial.problem is not None:
@@ -108,12 +127,12 @@ def _beside(state: SelectionState, chosen: Chosen, trial: Trial) -> Standing:
         verdict = f"it contains {named}, which is enough"
     elif math.isnan(evidence):
         verdict = f"with all that was found in the model, {named} explains more"
-    elif not tied(replace(trial, gain=evidence), chosen.trial, state.scatter):
+    elif tied(replace(reference, gain=chosen.gain), replace(trial, gain=evidence), better):
+        verdict = TIED
+    elif evidence > chosen.gain:
         other = "too little of it acts in the validation set"
         why = "it does not lower the error on the validation set" if trial.validation_gain <= 0.0 else other
         verdict = f"{evidence - chosen.gain:.0f} nat more than {named}, but {why}"
-    elif tied(chosen.trial, replace(trial, gain=evidence), state.scatter):
-        verdict = TIED
     else:
         verdict = f"lower than {named} by {chosen.gain - evidence:.0f} nat"
         told = KINDS[chosen.key[0]].told_from(trial.name)

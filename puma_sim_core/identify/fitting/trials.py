@@ -413,9 +413,3 @@ def _of_value(model: Point, number: int, name: str, starts: Iterable[tuple[Float
 def _lowest(*fits: Fitted | None) -> Fitted | None:
     """The fit with the lowest objective of those that there are."""
     return min((f for f in fits if f is not None), key=lambda f: f.objective, default=None)
-
-
-def tied(best: Trial, other: Trial, scatter: float = 1.0) -> bool:
-    """Whether the log cannot tell the two apart by evidence. scatter : what a nat of the model must be divided by
-    (`fitting.dispersion`)."""
-    return best.gain - other.gain < max(FITTING.tie * scatter, FITTING.tie_share * best.gain)

@@ -182,12 +182,11 @@ class Selection:
         model, _ = fit.to_end(point, pairs, gain=gain, times=times)
         jacobian = fit.derivatives(model.point, pairs)
         whitened = fit.whitened(jacobian)
-        scatter = dispersion(self.predictor, whitened, model.errors, len(model.point.theta))
         model = replace(model, jacobian=whitened)
         retuned = model
         if state.chosen and state.retuned is not None:
             retuned, _ = fit.to_end(state.retuned.point, (), gain=gain, times=times)
-        return replace(state, model=model, jacobian=jacobian, retuned=retuned, trials=(), scatter=scatter)
+        return replace(state, model=model, jacobian=jacobian, retuned=retuned, trials=())
 
     # what the passes are made of
 

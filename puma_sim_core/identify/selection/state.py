@@ -73,8 +73,7 @@ class SelectionState:
     the innovations; chosen : the effects of the model, in its order; history : the stages so far; trials : those of
     the present stage; doubted : the state in a noise that the validation refused in this stage, None otherwise;
     retuned : the model with its parameters fitted and no effect, None before the first stage; retracted : effects that
-    were taken out at the end, since they do not lower the validation error; scatter : what a nat of the finished model
-    must be divided by (`fitting.dispersion`).
+    were taken out at the end, since they do not lower the validation error.
     """
 
     model: Fitted
@@ -86,7 +85,6 @@ class SelectionState:
     doubted: SelectionState | None = None
     retuned: Fitted | None = None
     retracted: tuple[Key, ...] = ()
-    scatter: float = 1.0
 
     @property
     def keys(self) -> tuple[Key, ...]:

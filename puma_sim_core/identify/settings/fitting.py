@@ -110,7 +110,8 @@ class Fitting:
     greatest_variance_ratio: float = 1e12  #: variance over the prior's from which a sum of both loses digits that count
 
     # --- trials (`trials`)
-    tie: float = 8.0  #: a tie: gains closer than this [nat] [calibrated]
+    #: a tie: gains closer than this [nat], two standard errors of a true model's, whose variance is twice the gain
+    tie: float = 8.0
     tie_share: float = 0.003  #: or than this share of the better one [calibrated]
     promised: float = 0.7  #: of the screened gain; below it all derivatives are taken anew [calibrated]
     trial_rounds: int = 5  #: rounds of a trial's fit
