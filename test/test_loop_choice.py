@@ -17,9 +17,10 @@ from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionF
 from puma_sim_core.identify.fitting.trials import Trial, Trials
 from puma_sim_core.identify.residuals.unnamed import Explained, curve_preferred
 from puma_sim_core.identify.screening.evidence import Scored
+from puma_sim_core.identify.screening.surrogates import level
 from puma_sim_core.identify.selection.elimination import Elimination
 from puma_sim_core.identify.selection.selection import Selection, in_both
-from puma_sim_core.identify.selection.state import Chosen, SelectionState, Stage
+from puma_sim_core.identify.selection.state import Chosen, SelectionState, Stage, Threshold
 from puma_sim_core.identify.settings import FITTING, SELECTION
 from puma_sim_core.plant.mechanism_file import load_mechanism
 
@@ -57,7 +58,7 @@ class Chooser:
 
 def confirmed(errors, first, second):
     """Effects that stay, and those retracted, by errors {effects: error in cross-validation}."""
-    state = state_of([Stage((t,), 8.0, None, t) for t in (first, second)], first, second)
+    state = state_of([Stage((t,), Threshold.alike(8.0), None, t) for t in (first, second)], first, second)
 
     def lower(model, than):
         assert than.fitted is state.retuned
@@ -182,7 +183,7 @@ def test_rivals_are_the_best_and_those_that_contain_what_was_chosen():
         (("asymmetric_coulomb_friction", 2), 40.0),
     ]
     trials = [chosen, *(replace(trial(*each), fitted=fitted()) for each in others)]
-    state = state_of([Stage(tuple(trials), 15.0, None, chosen)], chosen)
+    state = state_of([Stage(tuple(trials), Threshold.alike(15.0), None, chosen)], chosen)
     found = elimination()._rivals(state, chosen.key)
     assert [t.name for t in found] == [
         "voltage_dead_band",
@@ -199,7 +200,10 @@ def elimination(trials=None):
 def test_an_effect_that_replaced_another_has_a_gain_of_its_own():
     rival = trial(("stribeck_friction", 1), 85.0)
     first, second = trial(A, 90.0), trial(B, 30.0)
-    history = (Stage((first, rival), 8.0, None, first), Stage((second,), 8.0, None, second))
+    history = (
+        Stage((first, rival), Threshold.alike(8.0), None, first),
+        Stage((second,), Threshold.alike(8.0), None, second),
+    )
     chosen = Chosen.of(rival, history, history[0], 120.0)
     state = state_of(history, second, chosen)
     assert [chosen.gain for chosen in state.chosen] == [30.0, 120.0]
@@ -243,10 +247,10 @@ def test_a_gain_in_two_noises_is_one_that_holds_in_both(gains, threshold, others
     def trials(values):
         return tuple(trial(key, gain) for key, gain in zip((A, B), values))
 
-    found, least = in_both(trials(gains), threshold, trials(others), other)
-    assert least == min(threshold, other)
+    found, least = in_both(trials(gains), Threshold.alike(threshold), trials(others), Threshold.alike(other))
+    assert least == Threshold.alike(min(threshold, other))
     for one, own, value, is_named in zip(found, gains, (*others, np.inf, np.inf), named):
-        assert (one.gain > least) == is_named
+        assert (one.gain > least.of(one.name)) == is_named
         assert one.gain <= min(own, value)
 
 
@@ -259,26 +263,64 @@ def test_a_further_name_needs_what_chance_and_misfit_ask_whatever_the_first_one_
     payload beside it has what its inertia and weight show."""
     first = trial(("current_limit", 3), 284632.0)
     further = trial(("payload", None), gain, validation_gain=validation_gain)
-    state = state_of([Stage((first,), 48.0, fitted(), first)], first)
-    chooser = SimpleNamespace(_threshold=lambda state: SELECTION.least_gain, _parsimonious=lambda best, trials: best)
+    state = state_of([Stage((first,), Threshold.alike(48.0), fitted(), first)], first)
+    asked = Threshold.alike(SELECTION.least_gain)
+    chooser = SimpleNamespace(_threshold=lambda state: asked, _parsimonious=lambda best, trials: best)
     stage = Selection.decide(chooser, replace(state, trials=(further,))).history[-1]
     assert (stage.accepted is not None) == named
-    assert (stage.threshold, stage.threshold_untried) == (SELECTION.least_gain, SELECTION.least_untried)
+    untried = replace(further, validation_gain=FITTING.untried)
+    assert (stage.needed(first), stage.needed(untried)) == (SELECTION.least_gain, SELECTION.least_untried)
+
+
+def test_dry_friction_needs_what_chance_gives_it_and_others_what_it_gives_them():
+    """An error of the transmission follows a short shock anywhere: friction is not asked for as much."""
+    chance = Threshold(dry=20.0, other=100.0)
+    friction, ripple = trial(A, 60.0), trial(("transmission_error", 1), 70.0)
+    chooser = SimpleNamespace(_threshold=lambda state: chance, _parsimonious=lambda best, trials: best)
+    stage = Selection.decide(chooser, replace(state_of([]), trials=(friction, ripple))).history[-1]
+    assert stage.accepted.key == A and (stage.needed(friction), stage.needed(ripple)) == (20.0, 100.0)
+    assert (
+        not Selection.decide(chooser, replace(state_of([]), trials=(replace(friction, gain=19.0),)))
+        .history[-1]
+        .accepted
+    )
+
+
+def test_each_of_the_two_kinds_of_effects_has_half_of_the_probability():
+    """Each needs what chance gives the greatest of its kind, with half of the probability that it may have in all."""
+    rng = np.random.default_rng(2)
+    drawn = {}
+
+    def gains(pairs):
+        return drawn.setdefault(pairs, rng.exponential(3.0, 24))
+
+    placebos = SimpleNamespace(gains=gains)
+    causal = SimpleNamespace(placebos=lambda shifts: placebos, pairs=lambda kind, joint: (kind.name, joint))
+    library = {name: KINDS[name] for name in ("coulomb_friction", "torque_ripple", "joint_spring")}
+    mechanism = load_mechanism("puma560")
+    chooser = SimpleNamespace(shifts=None, library=library, mechanism=mechanism)
+    found = Selection._chance(chooser, replace(state_of([]), chosen=()), causal)
+    dry = np.max([drawn["coulomb_friction", joint] for joint in (1, 2, 3)], axis=0)
+    other = np.max([values for (name, _), values in drawn.items() if name != "coulomb_friction"], axis=0)
+    half = 0.5 * SELECTION.surrogate_level
+    assert found == Threshold(level(dry, half), level(other, half))
 
 
 def test_effects_that_one_contains_are_those_tried_beside_it():
     chosen = trial(("position_dependent_friction", 2), 100.0)
     others = [("coulomb_friction", 2), ("coulomb_friction", 1), ("voltage_dead_band", 2)]
     trials = (chosen, *(replace(trial(key, 90.0), fitted=fitted()) for key in others))
-    state = state_of([Stage(trials, 15.0, None, chosen)], chosen)
+    state = state_of([Stage(trials, Threshold.alike(15.0), None, chosen)], chosen)
     assert [t.key for t in elimination()._contained(state, 0)] == [("coulomb_friction", 2)]
     # a blow fits any single event: what it contains is chosen elsewhere
     blow = trial(("impulse", 2), 100.0)
-    stage = Stage((blow, replace(trial(("current_limit", 2), 99.0), fitted=fitted())), 15.0, None, blow)
+    stage = Stage(
+        (blow, replace(trial(("current_limit", 2), 99.0), fitted=fitted())), Threshold.alike(15.0), None, blow
+    )
     assert elimination()._contained(state_of([stage], blow), 0) == []
     # one that took the place of another has the trials of that one's stage
     first = replace(trial(("coulomb_friction", 2), 110.0), fitted=fitted())
-    stage = Stage((first, replace(chosen, fitted=fitted())), 15.0, None, first)
+    stage = Stage((first, replace(chosen, fitted=fitted())), Threshold.alike(15.0), None, first)
     instead = state_of([stage], Chosen.of(chosen, (stage,), stage, 100.0))
     assert [t.key for t in elimination()._contained(instead, 0)] == [("coulomb_friction", 2)]
 
@@ -312,7 +354,7 @@ def test_effects_whose_trials_had_not_come_to_their_end_are_fitted_to_it(ends, i
         return replace(trial((full[short], 2), gain, occam), fitted=model)
 
     position, *others = (tried("position", 100.0, 10.0), tried("coulomb", 20.0, 6.0), tried("asymmetric", 80.0, 8.0))
-    stage = Stage((position, *others), 16.0, None, position)
+    stage = Stage((position, *others), Threshold.alike(16.0), None, position)
     ending = {full[short]: objective for short, objective in ends.items()}
     lowest = min(ends.values())
 
@@ -416,7 +458,7 @@ def offset(gain, angle, problem):
     ],
 )  # not above the threshold by enough
 def test_a_zero_that_no_sensor_has_is_a_fault_of_the_data(gain, rival, problem, found):
-    stage = Stage((offset(gain, 0.9, problem), trial(A, rival)), 15.0, None)
+    stage = Stage((offset(gain, 0.9, problem), trial(A, rival)), Threshold.alike(15.0), None)
     faults = wrong_zeros([stage])
     assert [(f.channel, f.row) for f in faults] == ([("position2", None)] if found else [])
     assert all("offset by about 0.9 rad" in f.what for f in faults)

@@ -14,7 +14,7 @@ from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
 from puma_sim_core.identify.fitting.trials import Trial, Trials
 from puma_sim_core.identify.screening.evidence import Scored
 from puma_sim_core.identify.selection.elimination import Elimination
-from puma_sim_core.identify.selection.state import Chosen, SelectionState, Stage
+from puma_sim_core.identify.selection.state import Chosen, SelectionState, Stage, Threshold
 
 pytestmark = pytest.mark.long
 
@@ -27,7 +27,7 @@ def test_an_effect_that_another_contains_leaves_its_size_to_it():
     bump = Effect(true.kind, 1, {**true.values, "sliding": least})
     scored = [Scored(effect.kind.name, 1, 100.0, values=dict(effect.values)) for effect in (coulomb, bump)]
     accepted = [trials.run(base, each) for each in scored]
-    history = tuple(Stage(tuple(accepted), 16.0, base.model, each) for each in accepted)
+    history = tuple(Stage(tuple(accepted), Threshold.alike(16.0), base.model, each) for each in accepted)
     model = base.fit.run(Point(PENDULUM.start, (coulomb, bump)), (), rounds=8)
     chosen = tuple(Chosen.of(each, history) for each in accepted)
     both = replace(state, model=model, history=history, chosen=chosen)
@@ -53,7 +53,10 @@ def test_a_rival_is_tried_in_the_form_that_suits_what_was_found_later():
         found, _ = fit.to_end(Point(PENDULUM.start, (effect,)), tuple((0, name) for name in names))
         scored = Scored(effect.kind.name, 1, 100.0, values={name: effect.values[name] for name in names})
         tried.append(Trial(scored, 100.0, 50.0, found, 3.0))
-    stages = (Stage(tuple(tried[:2]), 16.0, base, tried[0]), Stage((tried[2],), 16.0, base, tried[2]))
+    stages = (
+        Stage(tuple(tried[:2]), Threshold.alike(16.0), base, tried[0]),
+        Stage((tried[2],), Threshold.alike(16.0), base, tried[2]),
+    )
     both = (tried[0].effect, tried[2].effect)
     names = (*((0, name) for name in tried[0].effect.values), (1, "voltage"))
     model, _ = fit.to_end(Point(PENDULUM.start, both), names)

@@ -19,7 +19,7 @@ from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionF
 from puma_sim_core.identify.fitting.trials import Base, Trial, Trials
 from puma_sim_core.identify.screening.evidence import Scored
 from puma_sim_core.identify.selection.refits import Refits
-from puma_sim_core.identify.selection.state import Stage
+from puma_sim_core.identify.selection.state import Stage, Threshold
 from puma_sim_core.identify.settings import FITTING
 from puma_sim_core.plant.mechanism_file import load_mechanism
 
@@ -177,7 +177,7 @@ def test_a_limit_is_fitted_on_from_where_it_was_found_in_the_stage_before():
     refits = Refits(trials, KINDS)
 
     def resumed(accepted, stages=1):
-        history = (Stage((then,), 16.0, base.model, accepted),) * stages
+        history = (Stage((then,), Threshold.alike(16.0), base.model, accepted),) * stages
         return refits.from_previous(replace(state, trials=(now,), history=history)).trials[0]
 
     elsewhere = replace(then, scored=replace(then.scored, joint=None))

@@ -17,7 +17,7 @@ from puma_sim_core.identify.report.answers import lead, rivals, told_next
 from puma_sim_core.identify.report.json import report_text
 from puma_sim_core.identify.report.tables import ranking as shown
 from puma_sim_core.identify.result import Hypothesis
-from puma_sim_core.identify.selection.state import Chosen, Stage
+from puma_sim_core.identify.selection.state import Chosen, Stage, Threshold
 from puma_sim_core.identify.standing import ranking, ruled_out, standings, ties
 from puma_sim_core.identify.standing import tied as cannot_tell
 
@@ -40,7 +40,10 @@ def two_effects():
     others.append(replace(trial(BLOW, 950.0), problem="it would need an impossible value: width 1, more than 0.15"))
     second = trial(SPRING, 300.0)
     rest = [trial(OFFSET, 298.0), trial(DEAD_BAND, -3.0), trial(("quadratic_friction", 3), 4.0)]
-    stages = (Stage((first, *others), 16.0, None, first), Stage((second, *rest), 16.0, None, second))
+    stages = (
+        Stage((first, *others), Threshold.alike(16.0), None, first),
+        Stage((second, *rest), Threshold.alike(16.0), None, second),
+    )
     return state_of(stages, first, second)
 
 
@@ -98,7 +101,7 @@ def test_what_replaced_another_is_compared_by_the_trial_that_was_accepted():
     """The one that replaced it may have been far behind in that stage, and is nearer in the model that was found."""
     accepted, rival = trial(DEAD_BAND, 100.0), trial(COULOMB, 60.0)
     third = trial(("torque_ripple", 1), 80.0)
-    stage = Stage((accepted, third, rival), 16.0, None, accepted)
+    stage = Stage((accepted, third, rival), Threshold.alike(16.0), None, accepted)
     compared = []
 
     def clearly(one, other):
@@ -121,7 +124,7 @@ def test_what_no_machine_has_is_no_rival():
 
 def test_an_effect_that_replaced_another_keeps_the_distances_of_the_stage():
     accepted, rival, third = trial(DEAD_BAND, 100.0), trial(COULOMB, 95.0), trial(("torque_ripple", 1), 60.0)
-    stage = Stage((accepted, rival, third), 16.0, None, accepted)
+    stage = Stage((accepted, rival, third), Threshold.alike(16.0), None, accepted)
     state = state_of((stage,), Chosen.of(rival, (stage,), stage, 140.0))
     rows = {row.key: row for row in standings(state, told_apart)}
     assert rows[COULOMB].evidence == 140.0

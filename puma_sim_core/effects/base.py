@@ -273,6 +273,11 @@ class Kind:
         return any(law.point is Point.BRISTLE_STIFFNESS for law in self.laws)
 
     @property
+    def dry(self) -> bool:
+        """Whether it is a level of dry friction."""
+        return any(law.point in (Point.LEVEL, Point.SPEED_LEVEL, Point.POSE_LEVEL) for law in self.laws)
+
+    @property
     def two_masses(self) -> bool:
         """Whether it gives a joint two masses: a model with it takes some ten times as long to run."""
         values = {p.name: p.high if p.default is None else p.default for p in self.parameters}

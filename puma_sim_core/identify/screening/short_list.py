@@ -10,7 +10,6 @@ from collections.abc import Collection, Iterator, Mapping
 import numpy as np
 
 from puma_sim_core.effects import Kind
-from puma_sim_core.effects.base import Point as Place
 from puma_sim_core.effects.screening import Screening
 from puma_sim_core.identify.fitting.prediction import Point
 from puma_sim_core.identify.fitting.predictor import Predictor
@@ -19,9 +18,6 @@ from puma_sim_core.identify.screening.evidence import Bank, Key, Scored
 from puma_sim_core.identify.screening.hypotheses import hypotheses
 from puma_sim_core.identify.screening.search import Search
 from puma_sim_core.identify.settings import SCREENING, SELECTION
-
-#: where dry friction acts
-_DRY = frozenset({Place.LEVEL, Place.SPEED_LEVEL, Place.POSE_LEVEL})
 
 
 class ShortList:
@@ -101,7 +97,7 @@ class ShortList:
 
         Parameters, a delay or an elasticity may have taken it up, so that the screening about them sees nothing of it.
         """
-        rubs = {joint for name, joint in keys if any(law.point in _DRY for law in self.library[name].laws)}
+        rubs = {joint for name, joint in keys if self.library[name].dry}
         missing, every = {s.joint for s in found}, range(1, self.predictor.mechanism.joints + 1)
         joints = [j for j in every if j not in rubs and (j in missing or None in missing)]
         taken, more = {s.key for s in found} | set(keys), list[Scored]()

@@ -13,7 +13,7 @@ import numpy as np
 
 from puma_sim_core.effects import KINDS, Kind
 from puma_sim_core.identify.arrays import Floats
-from puma_sim_core.identify.fitting.dispersion import clearly_better, dispersion
+from puma_sim_core.identify.fitting.dispersion import blocks, clearly_better, dispersion
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
 from puma_sim_core.identify.fitting.trials import Trial, Trials, unseen
 from puma_sim_core.identify.memory import release
@@ -26,9 +26,14 @@ from puma_sim_core.identify.screening.hypotheses import hypotheses
 from puma_sim_core.identify.screening.short_list import ShortList
 from puma_sim_core.identify.screening.surrogates import level
 from puma_sim_core.identify.selection.elimination import Elimination
-from puma_sim_core.identify.selection.noise_choice import least_of_joints, noise_refused, squares_of_pieces
+from puma_sim_core.identify.selection.noise_choice import (
+    least_of_joints,
+    least_variances,
+    noise_refused,
+    squares_of_pieces,
+)
 from puma_sim_core.identify.selection.refits import Refits
-from puma_sim_core.identify.selection.state import Chosen, SelectionState, Stage
+from puma_sim_core.identify.selection.state import Chosen, SelectionState, Stage, Threshold
 from puma_sim_core.identify.settings import FITTING, SELECTION
 
 #: one step of the selection
@@ -134,17 +139,16 @@ class Selection:
 
     def estimate_noise(self, state: SelectionState) -> SelectionState:
         """Fit all again in the noise that the best explanation of each joint leaves, unless the validation refuses."""
-        noise = self._noise(state)
-        fit, before = PredictionFit(self.predictor, noise), state.model
-        model, jacobian = fit.to_end(before.point, before.names, state.jacobian)
-        base = self.trials.base(model, noise, jacobian)
-        trials = parallel_map(
-            lambda t: t if t.fitted is None else self.trials.run(base, t.scored, t.fitted.point), state.trials
-        )
-        after = replace(state, model=model, jacobian=jacobian, noise=noise, trials=tuple(trials))
-        if noise_refused(self._validation_volts(state), self._validation_volts(after)):
+        after = self._in_noise(state, self._noise(state))
+        if not noise_refused(self._validation_volts(state), self._validation_volts(after)):
+            return replace(after, doubted=None)
+        # its spectrum is refused; the noise that stays is no smaller than what the best explanations leave in it
+        left = [state.model.errors, *(t.model.errors for t in state.trials if t.explains)]
+        larger = least_variances(left, self.predictor.fit_rows, blocks(self.predictor))
+        if (larger <= 1.0).all():
             return replace(state, doubted=after)
-        return replace(after, doubted=None)
+        scale = state.noise.scale * np.sqrt(np.maximum(larger, 1.0))
+        return replace(self._in_noise(state, replace(state.noise, scale=scale)), doubted=after)
 
     def decide(self, state: SelectionState) -> SelectionState:
         """End the stage with the effect that the log asks for, if there is one."""
@@ -225,27 +229,43 @@ class Selection:
         errors = np.column_stack([found[number][:, j] for j, number in enumerate(numbers.tolist())])
         return innovations.weighting(self.predictor, errors)
 
-    def _threshold(self, state: SelectionState) -> float:
-        """The gain [nat] that a name needs in the noise of a state, by what chance gives."""
+    def _in_noise(self, state: SelectionState, noise: Weighting) -> SelectionState:
+        """The model and the trials of a stage, fitted on in another noise."""
+        before = state.model
+        model, jacobian = PredictionFit(self.predictor, noise).to_end(before.point, before.names, state.jacobian)
+        base = self.trials.base(model, noise, jacobian)
+        trials = parallel_map(
+            lambda t: t if t.fitted is None else self.trials.run(base, t.scored, t.fitted.point), state.trials
+        )
+        return replace(state, model=model, jacobian=jacobian, noise=noise, trials=tuple(trials))
+
+    def _threshold(self, state: SelectionState) -> Threshold:
+        """What a name needs in the noise of a state, by what chance gives."""
         best = state.best
         if best is None or best.gain <= SELECTION.least_gain:
-            return SELECTION.least_gain
+            return Threshold.alike(SELECTION.least_gain)
         fit, model = PredictionFit(self.predictor, state.noise), best.model
         jacobian = fit.whitened(fit.derivatives(model.point, self.trials.free(model.point), state.nearby))
-        causal = CausalScreen(fit, model.point, model.errors, jacobian, self.problem)
-        chance = level(self._placebo(state, causal))
-        if not state.chosen:
-            return max(SELECTION.least_gain, chance)
-        # beside an effect, what that one misfits counts as well; the first one takes up misfit itself
-        scatter = dispersion(self.predictor, jacobian, model.errors, len(model.point.theta))
-        return max(SELECTION.least_gain * scatter, chance)
+        least = SELECTION.least_gain
+        if state.chosen:
+            # beside an effect, what that one misfits counts as well; the first one takes up misfit itself
+            least *= dispersion(self.predictor, jacobian, model.errors, len(model.point.theta))
+        chance = self._chance(state, CausalScreen(fit, model.point, model.errors, jacobian, self.problem))
+        return Threshold(max(least, chance.dry), max(least, chance.other))
 
-    def _placebo(self, state: SelectionState, causal: CausalScreen) -> Floats:
-        """(k,) greatest gains [nat] of the shifted innovations of a screen over all that the short list is taken of."""
+    def _chance(self, state: SelectionState, causal: CausalScreen) -> Threshold:
+        """What the shifted innovations of a screen exceed by chance, over all that the short list is taken of: each of
+        the two kinds of effects has half of the probability."""
         placebos = causal.placebos(self.shifts)
-        asked = (h for h in hypotheses(self.library.values(), self.mechanism) if (h[0].name, h[1]) not in state.keys)
-        greatest: Floats = np.max([placebos.gains(causal.pairs(kind, joint)) for kind, joint in asked], axis=0)
-        return greatest
+        gains: dict[bool, list[Floats]] = {True: [], False: []}
+        for kind, joint in hypotheses(self.library.values(), self.mechanism):
+            if (kind.name, joint) not in state.keys:
+                gains[kind.dry].append(placebos.gains(causal.pairs(kind, joint)))
+
+        def reached(dry: bool) -> float:
+            return level(np.max(gains[dry], axis=0), 0.5 * SELECTION.surrogate_level) if gains[dry] else 0.0
+
+        return Threshold(reached(True), reached(False))
 
     def _parsimonious(self, best: Trial, trials: Iterable[Trial]) -> Trial:
         """The best trial, or one on its joint that it contains and that is not clearly worse."""
@@ -262,20 +282,20 @@ class Selection:
 
 
 def in_both(
-    trials: Sequence[Trial], threshold: float, others: Sequence[Trial], other: float
-) -> tuple[tuple[Trial, ...], float]:
+    trials: Sequence[Trial], threshold: Threshold, others: Sequence[Trial], other: Threshold
+) -> tuple[tuple[Trial, ...], Threshold]:
     """Trials with gains that hold in two noises, and the threshold for them.
 
     A gain is the lesser of two; one that does not reach the threshold in its own noise stays, in proportion, below the
     lesser threshold as well.
     """
-    least, there = min(threshold, other), {t.key: t.gain for t in others}
+    least, there = threshold.least(other), {t.key: t.gain for t in others}
 
-    def held(gain: float, own: float) -> float:
-        return gain if gain > own else gain * least / own
+    def held(name: str, gain: float, own: Threshold) -> float:
+        return gain if gain > own.of(name) else gain * least.of(name) / own.of(name)
 
     def lesser(t: Trial) -> float:
-        return min(held(t.gain, threshold), held(there.get(t.key, t.gain), other))
+        return min(held(t.name, t.gain, threshold), held(t.name, there.get(t.key, t.gain), other))
 
     return tuple(replace(t, gain=lesser(t)) for t in trials), least
 
@@ -293,8 +313,7 @@ def _passes(trial: Trial, stage: Stage, best: Trial) -> bool:
     return (
         trial.problem is None
         and trial.validation_gain > 0.0
-        and trial.gain > stage.threshold
+        and trial.gain > stage.needed(trial)
         and trial.gain > SELECTION.replacement_share * best.gain
-        and (not trial.untried or trial.gain > stage.threshold_untried)
         and (not KINDS[trial.name].two_masses or trial.gain > SELECTION.least_two_mass)
     )

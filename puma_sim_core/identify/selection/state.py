@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from puma_sim_core.effects import KINDS
 from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.fitting.prediction import Fitted
 from puma_sim_core.identify.fitting.trials import Trial
@@ -15,24 +16,45 @@ from puma_sim_core.identify.settings import SELECTION
 
 
 @dataclass(frozen=True)
+class Threshold:
+    """Gain [nat] that a name needs, by chance and by what the effects before it misfit: of dry friction, which all but
+    every drive has, and of any other effect."""
+
+    dry: float
+    other: float
+
+    @classmethod
+    def alike(cls, gain: float) -> Threshold:
+        """The same for all."""
+        return cls(gain, gain)
+
+    def of(self, name: str) -> float:
+        """That of an effect."""
+        return self.dry if KINDS[name].dry else self.other
+
+    def least(self, other: Threshold) -> Threshold:
+        """The lesser of two."""
+        return Threshold(min(self.dry, other.dry), min(self.other, other.other))
+
+
+@dataclass(frozen=True)
 class Stage:
     """A completed stage of the selection.
 
-    trials : best first; threshold [nat] : of a name, by chance and by what the effects before it misfit; base : the
-    model that gains are over; accepted : the trial that the log asks for; doubted : the validation refused the noise
-    that the model leaves.
+    trials : best first; threshold : of a name; base : the model that gains are over; accepted : the trial that the log
+    asks for; doubted : the validation refused the noise that the model leaves.
     """
 
     trials: tuple[Trial, ...]
-    threshold: float
+    threshold: Threshold
     base: Fitted
     accepted: Trial | None = None
     doubted: bool = False
 
-    @property
-    def threshold_untried(self) -> float:
-        """Least gain [nat] of a name that does not act on the validation set."""
-        return max(self.threshold, SELECTION.least_untried)
+    def needed(self, trial: Trial) -> float:
+        """The gain [nat] that a trial must have more than: more where it does not act on the validation set."""
+        asked = self.threshold.of(trial.name)
+        return max(asked, SELECTION.least_untried) if trial.untried else asked
 
 
 @dataclass(frozen=True)
