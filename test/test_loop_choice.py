@@ -125,7 +125,9 @@ def test_a_difference_counts_beyond_two_standard_errors_of_a_sum():
 ROWS = 400
 #: one log of 4 s, whose rows all count
 PREDICTOR = SimpleNamespace(
-    stretches=[SimpleNamespace(time=0.01 * np.arange(ROWS + 1))], fit_rows=np.ones((ROWS, 2), dtype=bool)
+    stretches=[SimpleNamespace(time=0.01 * np.arange(ROWS + 1))],
+    fit_rows=np.ones((ROWS, 2), dtype=bool),
+    mechanism=SimpleNamespace(start=np.zeros(1), deviations=np.ones(1)),
 )
 CHOOSER = SimpleNamespace(library=KINDS, predictor=PREDICTOR)
 
@@ -133,7 +135,7 @@ CHOOSER = SimpleNamespace(library=KINDS, predictor=PREDICTOR)
 def worse_by(likelihood, effect=None):
     """A model without errors, and at a distance from it by which its log likelihood is so much less [nat]."""
     away = np.full((ROWS, 2), np.sqrt(likelihood / ROWS))
-    return Fitted(Point(np.zeros(1), () if effect is None else (effect,)), away, 0.0, ())
+    return Fitted(Point(np.zeros(1), () if effect is None else (effect,)), away, likelihood, ())
 
 
 @pytest.mark.parametrize(
@@ -365,7 +367,7 @@ def test_effects_whose_trials_had_not_come_to_their_end_are_fitted_to_it(ends, i
         PredictionFit, "to_end", lambda fit, at, pairs: (ended(at, ending[at.effects[0].kind.name]), None)
     )
     trials = SimpleNamespace(
-        predictor=SimpleNamespace(mechanism=None, **vars(PREDICTOR)),
+        predictor=PREDICTOR,
         free=lambda point: (),
         implausible=lambda effect: effect.kind.name in {full[short] for short in impossible},
     )

@@ -18,7 +18,8 @@ def predictor(*lengths):
     """Logs of so many innovations; the first quarter second is not fitted to."""
     stretches = [SimpleNamespace(time=STEP * np.arange(n + 1)) for n in lengths]
     settled = np.concatenate([np.arange(n) >= 25 for n in lengths])
-    return SimpleNamespace(stretches=stretches, fit_rows=np.column_stack([settled] * JOINTS))
+    mechanism = SimpleNamespace(start=np.array([2.0, -1.0]), deviations=np.array([0.5, 0.1]))
+    return SimpleNamespace(stretches=stretches, fit_rows=np.column_stack([settled] * JOINTS), mechanism=mechanism)
 
 
 def model(seed, p=6, size=1.0):
@@ -85,10 +86,19 @@ def test_few_blocks_show_no_scatter():
     assert dispersion(one, jacobian, errors, 0) == 1.0
 
 
-def better_by(errors, away):
-    """Whether a model with these innovations is clearly better than one that adds some to them."""
-    models = (SimpleNamespace(errors=errors), SimpleNamespace(errors=errors + away))
-    return clearly_better(predictor(ROWS), *models)
+def fitted(one, errors, strained=(0.0, 0.0)):
+    """A model with these innovations, its parameters so many standard deviations from their start."""
+    m = one.mechanism
+    objective = 0.5 * float((errors[one.fit_rows] ** 2).sum() + np.dot(strained, strained))
+    point = SimpleNamespace(theta=m.start + m.deviations * np.asarray(strained))
+    return SimpleNamespace(errors=errors, objective=objective, point=point)
+
+
+def better_by(errors, away, strained=(0.0, 0.0)):
+    """Whether a model with these innovations is clearly better than one that adds some to them, and has parameters so
+    far from their start."""
+    one = predictor(ROWS)
+    return clearly_better(one, fitted(one, errors), fitted(one, errors + away, strained))
 
 
 def test_of_true_models_two_standard_errors_are_those_of_the_log_likelihood_ratio():
@@ -118,3 +128,12 @@ def test_rows_that_are_not_fitted_to_do_not_count():
     one, away = predictor(ROWS), np.zeros((ROWS, JOINTS))
     away[~one.fit_rows.any(axis=1)] = 100.0
     assert not better_by(np.zeros((ROWS, JOINTS)), away)
+
+
+def test_a_model_that_fits_as_well_by_parameters_far_from_their_start_is_worse():
+    """Seen with friction that differs by direction: one level fitted as well with a link 8 deviations heavier."""
+    errors, away = np.random.default_rng(9).standard_normal((2, ROWS, JOINTS))
+    away *= 1.0 / np.linalg.norm(away)
+    assert not better_by(errors, away)
+    # in a true model a difference is two standard errors from 8 nat on, wherever it is
+    assert better_by(errors, away, (4.5, 0.0)) and not better_by(errors, away, (3.0, 0.0))

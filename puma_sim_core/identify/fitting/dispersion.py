@@ -11,9 +11,10 @@ the criterion of Takeuchi (1976, Suri-Kagaku 153:12) over its value for a true m
 quasi-likelihood (Wedderburn 1974, Biometrika 61:439; Burnham and Anderson 2002, Model Selection, section 2.5). A gain
 over c is the same whatever size of noise was assumed: both go with one over its variance.
 
-Two models are compared in the one direction in which they differ, d = e' - e with e the innovations of the better: its
-log likelihood is greater by d'e + d'd/2, and chance moves that by the sum of the blocks' d_k'e_k, of variance d'd where
-the better model is true. The greater of that and what the blocks show is its standard error.
+Two models are compared in the one direction in which they differ, d = e' - e with e the innovations of the better, and
+the deviations of its parameters from their priors: its log likelihood is greater by d'e + d'd/2, and chance moves that
+by the sum of the blocks' d_k'e_k, of variance d'd where the better model is true. The greater of that and what the
+blocks show is its standard error.
 """
 
 import numpy as np
@@ -56,13 +57,19 @@ def dispersion(predictor: Predictor, jacobian: Floats, errors: Floats, priors: i
 
 
 def clearly_better(predictor: Predictor, better: Fitted, other: Fitted) -> bool:
-    """Whether one model fits better than another beyond what chance, or what the better one misfits, may do."""
-    rows = predictor.fit_rows
+    """Whether one model fits better than another beyond what chance, or what the better one misfits, may do.
+
+    The priors of the parameters count as rows of their own: a model may fit as well by parameters far from their start.
+    """
+    rows, m = predictor.fit_rows, predictor.mechanism
     left = np.where(rows, better.errors, 0.0)
     apart = np.where(rows, other.errors - better.errors, 0.0)
-    squares, along = float((apart**2).sum()), (apart * left).sum(axis=1)
-    variance = max(squares, float((np.bincount(blocks(predictor), along) ** 2).sum()))
-    return float(along.sum()) + 0.5 * squares > SELECTION.standard_errors * np.sqrt(variance)
+    strained = (better.point.theta - m.start) / m.deviations
+    moved = (other.point.theta - better.point.theta) / m.deviations
+    scores = np.bincount(blocks(predictor), (apart * left).sum(axis=1))
+    squares = float((apart**2).sum() + moved @ moved)
+    variance = max(squares, float(scores @ scores + ((moved * strained) ** 2).sum()))
+    return other.objective - better.objective > SELECTION.standard_errors * np.sqrt(variance)
 
 
 def blocks(predictor: Predictor) -> Ints:
