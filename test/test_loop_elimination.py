@@ -15,6 +15,7 @@ from puma_sim_core.identify.fitting.trials import Trial, Trials
 from puma_sim_core.identify.screening.evidence import Scored
 from puma_sim_core.identify.selection.elimination import Elimination
 from puma_sim_core.identify.selection.state import Chosen, SelectionState, Stage, Threshold
+from puma_sim_core.identify.settings import FITTING
 
 pytestmark = pytest.mark.long
 
@@ -65,3 +66,7 @@ def test_a_rival_is_tried_in_the_form_that_suits_what_was_found_later():
     left = Elimination(trials, KINDS).eliminate(state)
     assert left.keys == (("voltage_offset", 1), ("load_dependent_friction", 1))
     assert left.model.point.effects[1].values == pytest.approx(true.values, abs=0.01)
+    # its evidence is over a model without it that was fitted to its end, from anywhere
+    without, _ = fit.to_end(Point(PENDULUM.start, (later,)), ((0, "voltage"),), times=8, gain=0.1)
+    gained = without.objective - left.model.objective
+    assert left.chosen[1].gain + left.chosen[1].occam == pytest.approx(gained, abs=FITTING.finished)

@@ -122,7 +122,9 @@ class Elimination:
         if best is None:
             return None
         _, rival, tried = best
-        gain = bare.objective - tried.objective - rival.occam
+        # derivatives about the model with the effect may not lead to the end of the one without it
+        ended, _ = fit.to_end(bare.point, frozen)
+        gain = min(bare.objective, ended.objective) - tried.objective - rival.occam
         new = Chosen.of(rival, state.history, accepting(state.history, chosen.key), gain)
         return replace(state, model=tried, jacobian=None, chosen=(*rest, new))
 
