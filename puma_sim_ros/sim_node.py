@@ -5,7 +5,6 @@
 with it the kernel that is built from all registered effects, is imported after that.
 """
 
-import argparse
 import signal
 import sys
 
@@ -16,6 +15,8 @@ def main(args: list[str] | None = None) -> int:
     # when a library is loaded, which takes the better part of a second and on a busy machine several
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
+    import argparse
+
     from puma_sim_core.effects import load_effects
     from puma_sim_core.errors import PumaSimError
 
