@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -130,6 +131,7 @@ PREDICTOR = SimpleNamespace(
     mechanism=SimpleNamespace(start=np.zeros(1), deviations=np.ones(1)),
 )
 CHOOSER = SimpleNamespace(library=KINDS, predictor=PREDICTOR)
+CHOOSER._enough = partial(Selection._enough, CHOOSER)
 
 
 def worse_by(likelihood, effect=None):
@@ -157,6 +159,24 @@ def test_of_effects_that_contain_each_other_the_simpler_goes_first_unless_clearl
     plain = replace(trial((simpler, 2), 1000.0 - less), fitted=worse_by(less))
     elsewhere = replace(trial((simpler, 1), 999.9), fitted=worse_by(0.1))
     assert Selection._parsimonious(CHOOSER, best, [best, plain, elsewhere]).key == (wanted, 2)
+
+
+def test_a_simpler_effect_is_not_enough_where_another_that_contains_it_is_clearly_better():
+    """Seen on the EMPS in millimetres: a bristle was first and not clearly better than one level of friction, which was
+    taken, though friction that differs by direction is 5.5 standard errors better than that."""
+
+    def tried(name, gain):
+        return replace(trial((name, 2), gain), fitted=worse_by(0.0))
+
+    bristle, directions = tried("presliding_friction", 110.0), tried("asymmetric_coulomb_friction", 100.0)
+    plain, other = tried("coulomb_friction", 40.0), tried("voltage_dead_band", 105.0)
+    trials = [bristle, other, directions, plain]
+    only = SimpleNamespace(library=KINDS, _enough=lambda c, t: (c, t) == (plain, bristle))
+    assert Selection._parsimonious(only, bristle, trials) is directions
+    both = SimpleNamespace(library=KINDS, _enough=lambda c, t: c is plain and t in (bristle, directions))
+    assert Selection._parsimonious(both, bristle, trials) is plain
+    none = SimpleNamespace(library=KINDS, _enough=lambda c, t: False)
+    assert Selection._parsimonious(none, bristle, trials) is bristle
 
 
 def test_a_simpler_effect_that_costs_more_than_it_is_worse_goes_first():

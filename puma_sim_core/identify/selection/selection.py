@@ -268,17 +268,23 @@ class Selection:
         return Threshold(reached(True), reached(False))
 
     def _parsimonious(self, best: Trial, trials: Iterable[Trial]) -> Trial:
-        """The best trial, or one on its joint that it contains and that is not clearly worse."""
-        kind = self.library[best.name]
+        """The best trial, or the next on its joint that contains the same, if it is clearly better than all that it
+        contains; else the best of these."""
+        own = [t for t in trials if t.possible and t.joint == best.joint]
+        contained = set(self.library[best.name].contains)
+        alike = (t for t in own if t.name in contained or contained & set(self.library[t.name].contains))
+        asked = (t for t in (best, *alike) if t.gain <= best.gain and not any(self._enough(c, t) for c in own))
+        return max(asked, key=lambda t: t.gain, default=best)
+
+    def _enough(self, simple: Trial, rich: Trial) -> bool:
+        """Whether one trial is among those that another contains, and not clearly worse."""
+        kind = self.library[rich.name]
+        if simple.name not in kind.contains:
+            return False
         assert kind.screening is not None
-        contains, least = kind.contains, max(SELECTION.exact, kind.screening.generous) * best.gain
-
-        def enough(t: Trial) -> bool:
-            hardly = t.gain > best.gain - least or best.vanishing
-            return hardly or not clearly_better(self.predictor, best.model, t.model)
-
-        own = (t for t in trials if t.possible and t.joint == best.joint and t.name in contains)
-        return max(filter(enough, own), key=lambda t: t.gain, default=best)
+        least = max(SELECTION.exact, kind.screening.generous) * rich.gain
+        hardly = simple.gain > rich.gain - least or rich.vanishing
+        return hardly or not clearly_better(self.predictor, rich.model, simple.model)
 
 
 def in_both(
