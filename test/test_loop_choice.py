@@ -18,11 +18,9 @@ from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionF
 from puma_sim_core.identify.fitting.trials import Trial, Trials
 from puma_sim_core.identify.residuals.unnamed import Explained, curve_preferred
 from puma_sim_core.identify.screening.evidence import Scored
-from puma_sim_core.identify.screening.surrogates import level
 from puma_sim_core.identify.selection.elimination import Elimination
-from puma_sim_core.identify.selection.selection import Selection, in_both
+from puma_sim_core.identify.selection.selection import Selection
 from puma_sim_core.identify.selection.state import Chosen, SelectionState, Stage, Threshold
-from puma_sim_core.identify.settings import FITTING, SELECTION
 from puma_sim_core.plant.mechanism_file import load_mechanism
 
 A, B = ("coulomb_friction", 1), ("impulse", 2)
@@ -251,81 +249,6 @@ def test_a_wave_is_no_longer_than_its_joint_can_go(period, refused):
     wave = parse_effect(f"sensor_nonlinearity:joint=1,amplitude=0.01,period={period}")
     found = Trials(None, problem).implausible(wave)
     assert bool(found) is refused and (found is None or "period 20" in found)
-
-
-@pytest.mark.parametrize(
-    "gains, threshold, others, other, named",
-    [
-        ((30.0, 20.0), 16.0, (25.0, 40.0), 16.0, (True, True)),
-        # not above what chance gives in the first noise, in the second, in either
-        ((5000.0, 12000.0), 9000.0, (1600.0, 1500.0), 16.0, (False, True)),
-        ((1600.0, 1500.0), 16.0, (5000.0, 12000.0), 9000.0, (False, True)),
-        ((5000.0, 12000.0), 9000.0, (10.0, 17.0), 16.0, (False, True)),
-        # all that is tried in one noise alone is judged there
-        ((12000.0, 8000.0), 9000.0, (), 16.0, (True, False)),
-    ],
-)
-def test_a_gain_in_two_noises_is_one_that_holds_in_both(gains, threshold, others, other, named):
-    def trials(values):
-        return tuple(trial(key, gain) for key, gain in zip((A, B), values))
-
-    found, least = in_both(trials(gains), Threshold.alike(threshold), trials(others), Threshold.alike(other))
-    assert least == Threshold.alike(min(threshold, other))
-    for one, own, value, is_named in zip(found, gains, (*others, np.inf, np.inf), named):
-        assert (one.gain > least.of(one.name)) == is_named
-        assert one.gain <= min(own, value)
-
-
-@pytest.mark.parametrize(
-    "gain, validation_gain, named",
-    [(30.0, 10.0, True), (15.0, 10.0, False), (30.0, -1.0, False), (30.0, FITTING.untried, True), (20.0, 1.5, False)],
-)
-def test_a_further_name_needs_what_chance_and_misfit_ask_whatever_the_first_one_gained(gain, validation_gain, named):
-    """A limit that the drive is held at gains hundreds of thousands of nat, since the model without it is far off; a
-    payload beside it has what its inertia and weight show."""
-    first = trial(("current_limit", 3), 284632.0)
-    further = trial(("payload", None), gain, validation_gain=validation_gain)
-    state = state_of([Stage((first,), Threshold.alike(48.0), fitted(), first)], first)
-    asked = Threshold.alike(SELECTION.least_gain)
-    chooser = SimpleNamespace(_threshold=lambda state: asked, _parsimonious=lambda best, trials: best)
-    stage = Selection.decide(chooser, replace(state, trials=(further,))).history[-1]
-    assert (stage.accepted is not None) == named
-    untried = replace(further, validation_gain=FITTING.untried)
-    assert (stage.needed(first), stage.needed(untried)) == (SELECTION.least_gain, SELECTION.least_untried)
-
-
-def test_dry_friction_needs_what_chance_gives_it_and_others_what_it_gives_them():
-    """An error of the transmission follows a short shock anywhere: friction is not asked for as much."""
-    chance = Threshold(dry=20.0, other=100.0)
-    friction, ripple = trial(A, 60.0), trial(("transmission_error", 1), 70.0)
-    chooser = SimpleNamespace(_threshold=lambda state: chance, _parsimonious=lambda best, trials: best)
-    stage = Selection.decide(chooser, replace(state_of([]), trials=(friction, ripple))).history[-1]
-    assert stage.accepted.key == A and (stage.needed(friction), stage.needed(ripple)) == (20.0, 100.0)
-    assert (
-        not Selection.decide(chooser, replace(state_of([]), trials=(replace(friction, gain=19.0),)))
-        .history[-1]
-        .accepted
-    )
-
-
-def test_each_of_the_two_kinds_of_effects_has_half_of_the_probability():
-    """Each needs what chance gives the greatest of its kind, with half of the probability that it may have in all."""
-    rng = np.random.default_rng(2)
-    drawn = {}
-
-    def gains(pairs):
-        return drawn.setdefault(pairs, rng.exponential(3.0, 24))
-
-    placebos = SimpleNamespace(gains=gains)
-    causal = SimpleNamespace(placebos=lambda shifts: placebos, pairs=lambda kind, joint: (kind.name, joint))
-    library = {name: KINDS[name] for name in ("coulomb_friction", "torque_ripple", "joint_spring")}
-    mechanism = load_mechanism("puma560")
-    chooser = SimpleNamespace(shifts=None, library=library, mechanism=mechanism)
-    found = Selection._chance(chooser, replace(state_of([]), chosen=()), causal)
-    dry = np.max([drawn["coulomb_friction", joint] for joint in (1, 2, 3)], axis=0)
-    other = np.max([values for (name, _), values in drawn.items() if name != "coulomb_friction"], axis=0)
-    half = 0.5 * SELECTION.surrogate_level
-    assert found == Threshold(level(dry, half), level(other, half))
 
 
 def test_effects_that_one_contains_are_those_tried_beside_it():
