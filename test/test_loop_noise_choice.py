@@ -97,7 +97,7 @@ def test_where_a_noise_is_refused_the_one_that_stays_gets_the_size_of_what_is_le
     nat and parameters went 21 standard deviations away. A noise is never made smaller."""
     errors = size * np.random.default_rng(3).standard_normal((6000, 1))
     stretch = SimpleNamespace(time=1e-3 * np.arange(6001))
-    predictor = SimpleNamespace(fit_rows=np.ones((6000, 1), dtype=bool), stretches=[stretch])
+    predictor = SimpleNamespace(noisy_rows=np.ones((6000, 1), dtype=bool), stretches=[stretch])
     weighting = Weighting(np.ones((1, 1)), np.array([0.1]), (6000,))
     another = replace(weighting, scale=np.array([7.0]))
     squares = iter((np.full((10, 1), 1.0), np.full((10, 1), 2.0)))

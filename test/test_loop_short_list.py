@@ -53,6 +53,8 @@ def test_dry_friction_is_tried_where_anything_is_missing_and_none_is_in_the_mode
 
     both = ("coulomb_friction", "load_dependent_friction")
     assert tried([("joint_elasticity", 2)]) == {(name, 2) for name in both}
+    # friction may hold a joint that does not move
+    assert tried([("voltage_dead_band", 3)]) == {(name, 3) for name in both}
     # of the whole arm: on each joint that moves
     assert tried([("input_delay", None)]) == {(name, joint) for name in both for joint in (1, 2)}
     assert tried([]) == set()

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft
 from scipy.interpolate import Akima1DInterpolator
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from puma_sim_core.errors import RecordingError
 from puma_sim_core.identify.arrays import Bools, Floats, Ints, rows_of_segments, runs
@@ -100,6 +101,16 @@ def resting(velocity: Floats, noise: Floats, step: float, cutoff: float, stretch
                 if end - first >= shortest:
                     rests[rows.start + max(0, first - reach) : min(rows.stop, rows.start + end + reach), j] = True
     return rests
+
+
+def changing(log: Log) -> Bools:
+    """(n, J) whether the reading of a joint changes by more than a step of its encoder near a row.
+
+    A joint at rest has the same reading again and again: it shows none of the noise that it has in motion.
+    """
+    rows = 2 * round(DATA.encoder_rest / float(np.median(np.diff(log.time)))) + 1
+    near = [reach(log.position, rows, axis=0) for reach in (maximum_filter1d, minimum_filter1d)]
+    return np.asarray(near[0] - near[1] > (1.0 + DATA.encoder_blurred) * log.quantum)
 
 
 def _cutoffs(step: float) -> tuple[float, float]:

@@ -24,6 +24,7 @@ from puma_sim_core.errors import NonFiniteStateError, ParameterError
 from puma_sim_core.identify.arrays import Bools, Floats, log_rows
 from puma_sim_core.identify.data import filters
 from puma_sim_core.identify.data.log import Log
+from puma_sim_core.identify.data.sampling import changing
 from puma_sim_core.identify.noise.weighting import Weighting, folded_response
 from puma_sim_core.identify.parallel import parallel_map
 from puma_sim_core.identify.remembered import Remembered
@@ -42,7 +43,8 @@ RowChoice = Callable[[Floats], Bools]
 @dataclass(frozen=True)
 class Stretch:
     """One log for the predictor: time (n,) [s], voltage [V], position [rad or m], enable (n, J) or None, the start
-    row's motion, and which of the n - 1 innovations are fitted to and are of the validation set (n - 1, J)."""
+    row's motion, which of the n - 1 innovations are fitted to and are of the validation set, and which are of readings
+    that change (n - 1, J)."""
 
     time: Floats
     voltage: Floats
@@ -51,6 +53,7 @@ class Stretch:
     motion: tuple[Floats, Floats, Floats]
     fit: Bools
     validation: Bools
+    changing: Bools
 
     def validated_at(self, chosen: RowChoice) -> Stretch:
         """The same log with another validation set."""
@@ -160,6 +163,7 @@ class Predictor:
             motion=(position, velocity, acceleration),
             fit=usable,
             validation=np.zeros_like(usable),
+            changing=changing(log)[first + 1 :],
         ).validated_at(chosen)
 
     def _joint_models(self) -> list[tuple[Floats, Floats]]:
@@ -348,9 +352,16 @@ class Predictor:
         """(N, J) whether an innovation is of the validation set."""
         return np.concatenate([s.validation for s in self.stretches])
 
+    @property
+    def noisy_rows(self) -> Bools:
+        """(N, J) rows to fit that show the noise of a joint: those in which it moves, or all where these are few."""
+        fit = self.fit_rows
+        moving = fit & np.concatenate([s.changing for s in self.stretches])
+        return np.where(moving.sum(axis=0) >= FITTING.least_noisy_rows, moving, fit)
+
     def unfiltered_weighting(self, errors: Floats) -> Weighting:
         """No filter, and the scale of changes from row to row: what lasts, as a missing effect, is no noise."""
-        rows, scale = self.fit_rows, np.ones(errors.shape[1])
+        rows, scale = self.noisy_rows, np.ones(errors.shape[1])
         for j, response in enumerate(self.responses):
             change = np.diff(errors[:, j])[rows[1:, j] & rows[:-1, j]]
             if len(change):

@@ -86,14 +86,15 @@ def _periodogram(predictor: Predictor, errors: Floats, j: int) -> tuple[Floats, 
     """Frequencies [Hz] and power [rad^2/Hz] of the rows to fit, in the order of the frequencies.
 
     Runs are cut into overlapping segments (Welch 1967, IEEE Trans. Audio Electroacoust. 15:70): what happens in one of
-    them, such as an impact, moves no median.
+    them, such as an impact, moves no median. Segments in which the joint mostly rests do not count.
     """
-    step, fitted = predictor.step, predictor.fit_rows[:, j]
+    step, fitted, noisy = predictor.step, predictor.fit_rows[:, j], predictor.noisy_rows[:, j]
     found = []
     for rows in log_rows(predictor.lengths):
         for a, b in runs(fitted[rows]):
             for first, last in _segments(a, b, round(NOISE.spectrum_longest / step)):
-                if (last - first) * step >= NOISE.spectrum_shortest:
+                moves = 2 * np.count_nonzero(noisy[rows][first:last]) >= last - first
+                if (last - first) * step >= NOISE.spectrum_shortest and moves:
                     taper = np.hanning(last - first)
                     power = np.abs(np.fft.rfft(errors[rows][first:last] * taper)) ** 2
                     density = power[1:] * 2.0 * step / (taper @ taper)

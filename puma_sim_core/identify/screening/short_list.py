@@ -95,7 +95,8 @@ class ShortList:
     def _common(self, found: list[Scored], keys: Collection[Key], causal: CausalScreen) -> list[Scored]:
         """Dry friction of joints where anything is missing and none is in the model.
 
-        Parameters, a delay or an elasticity may have taken it up, so that the screening about them sees nothing of it.
+        Parameters, a delay or an elasticity may have taken it up, so that the screening about them sees nothing of it;
+        and a joint that it holds hardly moves, so that there is no velocity to screen by.
         """
         rubs = {joint for name, joint in keys if self.library[name].dry}
         missing, every = {s.joint for s in found}, range(1, self.predictor.mechanism.joints + 1)
@@ -105,12 +106,12 @@ class ShortList:
             start = _screening(kind).common
             for joint in (j for j in joints if (kind.name, j) not in taken):
                 scored = None if start is None else causal.score(kind, joint)
-                # a joint that does not move has no candidates
-                if start is not None and scored is not None:
+                # what is missing on the whole arm says nothing of a joint that does not move
+                if start is not None and (scored is not None or joint in missing):
                     values = start(float(self.predictor.mechanism.torque_scale[joint - 1]))
                     occam = SCREENING.short_list_unseen_occam * len(values)
                     blind = Scored(kind.name, joint, 0.0, values=values, occam=occam)
-                    more.append(blind if scored.values is None else scored)
+                    more.append(blind if scored is None or scored.values is None else scored)
         return more
 
     def _without_power(self, taken: Collection[Key], keys: Collection[Key], stretched: bool) -> Iterator[Scored]:

@@ -97,7 +97,8 @@ class Elimination:
         if found is None:
             return None
         full, bare, others, scatter = found
-        frozen = self.trials.free(bare.point)
+        # a stop that the fit moved beyond the motion keeps its column
+        frozen = bare.names
         if bare.objective - full.objective - chosen.occam < SELECTION.least_gain * scatter:
             return self.eliminate(replace(state, model=bare, jacobian=None, chosen=rest))
         best: tuple[float, Trial, Fitted] | None = None

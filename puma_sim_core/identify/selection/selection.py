@@ -144,7 +144,7 @@ class Selection:
             return replace(after, doubted=None)
         # its spectrum is refused; the noise that stays is no smaller than what the best explanations leave in it
         left = [state.model.errors, *(t.model.errors for t in state.trials if t.explains)]
-        larger = least_variances(left, self.predictor.fit_rows, blocks(self.predictor))
+        larger = least_variances(left, self.predictor.noisy_rows, blocks(self.predictor))
         if (larger <= 1.0).all():
             return replace(state, doubted=after)
         scale = state.noise.scale * np.sqrt(np.maximum(larger, 1.0))

@@ -15,6 +15,10 @@ class Data:
 
     encoder_changes: int = 20  #: least changes of a position in which an encoder's step is found
     encoder_reaches: tuple[float, ...] = (1.5, 4.0, 15.0)  #: steps that changes are taken up to
+    #: time to either side of a row [s] in which a reading that stays within a step of its encoder shows no noise:
+    #: longer than a reversal lasts, and than the longest correlation time of the noise (0.16 s) within both
+    encoder_rest: float = 0.15
+    encoder_blurred: float = 0.01  #: of a step, by which the digits of a text blur it
 
     sampling_first_cutoff: float = 60.0  #: first filter [Hz]
     sampling_first_share: float = 0.30  #: its greatest share of the sampling frequency

@@ -58,6 +58,8 @@ class Fitting:
     response_end: float = 1e-4  #: share of its greatest value at which a response ends
     response_rows: int = 4000  #: or rows
     deviation_of_median: float = 1.4826  #: of a Gaussian, over its median absolute value: 1 / Phi^-1(3/4)
+    #: rows in motion that show a joint's noise at least: the median of so many is known to 12 %
+    least_noisy_rows: int = 100
     least_median_share: float = 0.3  #: of the standard deviation of row-to-row changes: a coarse encoder's median is 0
 
     # --- Gauss and Newton (`prediction`)
