@@ -30,7 +30,7 @@ def record(mechanism, plant, volts=0.0, noise=0.0, enable=None, seconds=SECONDS,
     else:
         position = np.empty_like(voltage)
         for k, t in enumerate(time):
-            position[k] = simulator.state[:3]
+            position[k] = np.take(simulator.state, plant.axes)
             simulator.step(given[k] + unlogged(t, simulator), STEP)
     on = None if enable is None else np.repeat(enable[:, None], J, axis=1)
     return Log("own", time, voltage, position + noise * rng.standard_normal(voltage.shape), enable=on)

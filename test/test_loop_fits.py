@@ -265,6 +265,30 @@ def test_a_variation_whose_amplitude_stuck_at_zero_is_tried_from_every_side():
     assert trials.run(base, stuck.scored, Point(plain.fitted.point.theta, (nothing,))).gain < good.gain - 10.0
 
 
+def test_a_level_that_stuck_far_off_starts_from_the_one_of_what_contains_it():
+    """Seen on the double pendulum: one level of friction had 4 nat at 0.165 N.m, and 118 as friction over the position
+    without any variation."""
+    base, trials, state = lacking(parse_effect("coulomb_friction:joint=1,torque=0.05"))
+
+    def tried(text):
+        effect = parse_effect(text)
+        scored = Scored(effect.kind.name, 1, 0.0, values=dict(effect.values))
+        return trials.run(base, scored, Point(PENDULUM.start, (effect,)))
+
+    plain = tried("coulomb_friction:joint=1,torque=0.05")
+    rich = tried("asymmetric_coulomb_friction:joint=1,positive=0.05,negative=0.05")
+    holding = Point(base.model.point.theta, (parse_effect("coulomb_friction:joint=1,torque=0.9"),))
+    errors = base.fit.errors(holding)
+    stuck = replace(plain.fitted, point=holding, errors=errors, objective=base.fit.objective(errors, holding))
+    lost = replace(plain, fitted=stuck, gain=plain.gain - (stuck.objective - plain.model.objective))
+    refits = Refits(trials, KINDS)
+    again = refits.from_containing(replace(state, trials=(lost, rich))).trials
+    assert plain.gain > lost.gain + 100.0 and again[0].gain > plain.gain - 1.0 and again[1] is rich
+    # one that is better than what contains it stays, and so does one that nothing tried contains
+    assert refits.from_containing(replace(state, trials=(plain, replace(rich, fitted=stuck)))).trials[0] is plain
+    assert refits.from_containing(replace(state, trials=(lost,))).trials[0] is lost
+
+
 def test_friction_that_would_be_none_in_a_part_of_the_range_is_none_of_a_machine():
     _, trials, _ = lacking(parse_effect("coulomb_friction:joint=1,torque=0.05"))
     for amplitude, refused in ((0.03, False), (0.09, True)):

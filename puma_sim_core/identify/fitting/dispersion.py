@@ -69,7 +69,7 @@ def clearly_better(predictor: Predictor, better: Fitted, other: Fitted) -> bool:
     scores = np.bincount(blocks(predictor), (apart * left).sum(axis=1))
     squares = float((apart**2).sum() + moved @ moved)
     variance = max(squares, float(scores @ scores + ((moved * strained) ** 2).sum()))
-    return other.objective - better.objective > SELECTION.standard_errors * np.sqrt(variance)
+    return bool(other.objective - better.objective > SELECTION.standard_errors * np.sqrt(variance))
 
 
 def blocks(predictor: Predictor) -> Ints:

@@ -31,6 +31,11 @@ class _Compared(NamedTuple):
     others: Slopes
     dispersion: float
 
+    @property
+    def gain(self) -> float:
+        """Gain of log likelihood by the effect [nat]."""
+        return self.bare.objective - self.full.objective
+
 
 class Elimination:
     """Removes and replaces chosen effects of one problem. library : name -> effect."""
@@ -60,8 +65,8 @@ class Elimination:
             found = self._compared(state, number) if chosen.stage.doubted else None
             if found is None:
                 continue
-            gain = found.bare.objective - found.full.objective - chosen.occam
-            if gain < SELECTION.least_gain * found.dispersion:
+            gain = found.gain - chosen.occam
+            if not self._asked_for(chosen, found):
                 rest = _less(state.chosen, number)
                 return self.confirm(replace(state, model=found.bare, jacobian=None, chosen=rest))
             kept[number] = replace(chosen, gain=min(chosen.gain, gain))
@@ -99,7 +104,7 @@ class Elimination:
         full, bare, others, scatter = found
         # a stop that the fit moved beyond the motion keeps its column
         frozen = bare.names
-        if bare.objective - full.objective - chosen.occam < SELECTION.least_gain * scatter:
+        if not self._asked_for(chosen, found):
             return self.eliminate(replace(state, model=bare, jacobian=None, chosen=rest))
         best: tuple[float, Trial, Fitted] | None = None
         rivals = self._rivals(state, chosen.key)
@@ -118,7 +123,8 @@ class Elimination:
             gain = full.objective - tried.objective - rival.occam + chosen.occam
             if gain <= SELECTION.replacement_gain * scatter or (best is not None and gain <= best[0]):
                 continue
-            if not self._contains(rival, chosen.key[0]) or clearly_better(self.predictor, tried, full):
+            alike = self._contains(rival, chosen.key[0]) or self._rarer(rival, chosen.key[0])
+            if not alike or clearly_better(self.predictor, tried, full):
                 best = gain, rival, tried
         if best is None:
             return None
@@ -195,9 +201,21 @@ class Elimination:
             t for n, t in enumerate(near) if n < SELECTION.rivals or (t.joint == key[1] and self._contains(t, key[0]))
         ]
 
+    def _asked_for(self, chosen: Chosen, found: _Compared) -> bool:
+        """Whether the log asks for an effect beside the others: by what all of them misfit; for dry friction, which all
+        but every drive has, by what they misfit in the direction in which the model differs without it."""
+        gain = found.gain - chosen.occam
+        if self.library[chosen.key[0]].dry:
+            return gain >= SELECTION.least_gain and clearly_better(self.predictor, found.full, found.bare)
+        return gain >= SELECTION.least_gain * found.dispersion
+
     def _contains(self, trial: Trial, name: str) -> bool:
         """Whether the effect of a trial contains another one."""
         return name in self.library[trial.name].contains
+
+    def _rarer(self, trial: Trial, name: str) -> bool:
+        """Whether another effect is dry friction, which all but every drive has, and that of a trial is not."""
+        return self.library[name].dry and not self.library[trial.name].dry
 
 
 def _cost(pair: tuple[Fitted, Trial]) -> float:

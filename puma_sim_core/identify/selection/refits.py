@@ -4,8 +4,10 @@
 Each method is a pass: it takes a state of the selection and gives one with other trials.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+
+import numpy as np
 
 from puma_sim_core.effects import Effect, Kind
 from puma_sim_core.effects.base import Role
@@ -41,6 +43,29 @@ class Refits:
             points = [Point(simpler.point.theta, (*others, _of_size(last, share))) for share in (1.0, *shares)]
             start = fit.best_of(points)
             return trial if start is None else self._better(state, trial, simpler.point, start)
+
+        return _with_trials(state, again)
+
+    def from_containing(self, state: SelectionState) -> SelectionState:
+        """A trial of an effect starts from one that contains it, with that one's size, where it is better there."""
+        fit = PredictionFit(self.predictor, state.noise)
+
+        def again(trial: Trial) -> Trial:
+            own = [t for t in state.trials if t.fitted is not None and t.joint == trial.joint]
+            richer = [t for t in own if trial.name in self.library[t.name].contains]
+            if trial.fitted is None or not richer:
+                return trial
+            rich = min(richer, key=lambda t: t.model.objective).model
+            if rich.objective >= trial.fitted.objective:
+                return trial
+            *others, last = rich.point.effects
+            sizes = (bounded(trial.effect.kind, trial.joint, values) for values in _levels(trial.effect, last))
+            start = fit.best_of(Point(rich.point.theta, (*others, effect)) for effect in sizes)
+            if start is None or (errors := fit.errors(start)) is None:
+                return trial
+            if fit.objective(errors, start) >= trial.fitted.objective:
+                return trial
+            return self._better(state, trial, Point(start.theta, tuple(others)), start)
 
         return _with_trials(state, again)
 
@@ -214,6 +239,15 @@ def _sizes(effect: Effect) -> dict[str, float]:
         if p.role is Role.SIZE:
             found[p.unit] = max(found.get(p.unit, 0.0), effect.values[p.name])
     return found
+
+
+def _levels(effect: Effect, rich: Effect) -> Iterator[dict[str, float]]:
+    """Values of an effect with sizes of one that contains it."""
+    for p in effect.kind.parameters:
+        if p.role is Role.SIZE:
+            sizes = [rich.values[q.name] for q in rich.kind.parameters if q.role is Role.SIZE and q.unit == p.unit]
+            for size in (*sizes, float(np.mean(sizes)) if sizes else 0.0):
+                yield {**effect.values, p.name: size}
 
 
 def _of_size(effect: Effect, share: float) -> Effect:

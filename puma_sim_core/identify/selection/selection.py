@@ -21,6 +21,7 @@ from puma_sim_core.identify.noise import innovations
 from puma_sim_core.identify.noise.weighting import Weighting
 from puma_sim_core.identify.parallel import parallel_map
 from puma_sim_core.identify.screening.causal import CausalScreen, placebo_shifts
+from puma_sim_core.identify.screening.elsewhere import level_elsewhere
 from puma_sim_core.identify.screening.evidence import Key
 from puma_sim_core.identify.screening.hypotheses import hypotheses
 from puma_sim_core.identify.screening.short_list import ShortList
@@ -67,13 +68,16 @@ class Selection:
             refits.from_levels,
             self.try_richer,
             refits.from_nested,
+            refits.from_containing,
             refits.from_previous,
             refits.from_nominal,
             refits.rebased,
             self.estimate_noise,
             refits.from_usual,
             refits.polished,
+            refits.from_containing,
             refits.rebased,
+            self.compare_elsewhere,
             self.decide,
         )
         #: after a stage that accepted an effect
@@ -150,6 +154,10 @@ class Selection:
         scale = state.noise.scale * np.sqrt(np.maximum(larger, 1.0))
         return replace(self._in_noise(state, replace(state.noise, scale=scale)), doubted=after)
 
+    def compare_elsewhere(self, state: SelectionState) -> SelectionState:
+        """Say of effects that are placed where most is left, such as a push, whether they stand out in the log."""
+        return replace(state, trials=tuple(self._beside_elsewhere(state, t) for t in state.trials))
+
     def decide(self, state: SelectionState) -> SelectionState:
         """End the stage with the effect that the log asks for, if there is one."""
         threshold, trials = self._threshold(state), state.trials
@@ -166,9 +174,11 @@ class Selection:
         stage = Stage(trials, threshold, state.model, None, doubted)
         if accepted is not None and best is not None:
             # one that does not lower the error on the validation set is replaced by the next that does
-            passing = [t for t in trials if _passes(t, stage, best)]
+            passing = [t for t in trials if _passes(t, stage, best) and self._beside(state, t)]
             if accepted not in passing:
                 accepted = self._parsimonious(passing[0], passing) if passing else None
+            if accepted is not None:
+                accepted = self._common(accepted, passing)
         return replace(state, history=(*state.history, replace(stage, accepted=accepted)))
 
     def add(self, state: SelectionState) -> SelectionState:
@@ -244,14 +254,30 @@ class Selection:
         best = state.best
         if best is None or best.gain <= SELECTION.least_gain:
             return Threshold.alike(SELECTION.least_gain)
-        fit, model = PredictionFit(self.predictor, state.noise), best.model
-        jacobian = fit.whitened(fit.derivatives(model.point, self.trials.free(model.point), state.nearby))
-        least = SELECTION.least_gain
+        screen, least = self._screen(state, best.model), SELECTION.least_gain
         if state.chosen:
             # beside an effect, what that one misfits counts as well; the first one takes up misfit itself
-            least *= dispersion(self.predictor, jacobian, model.errors, len(model.point.theta))
-        chance = self._chance(state, CausalScreen(fit, model.point, model.errors, jacobian, self.problem))
-        return Threshold(max(least, chance.dry), max(least, chance.other))
+            least *= dispersion(self.predictor, screen.jacobian, screen.errors, len(screen.point.theta))
+        chance = self._chance(state, screen)
+        # dry friction beside an effect is compared in the direction of its own (`_beside`)
+        return Threshold(max(SELECTION.least_gain, chance.dry), max(least, chance.other))
+
+    def _beside_elsewhere(self, state: SelectionState, trial: Trial) -> Trial:
+        kind, joint = self.library[trial.name], trial.joint
+        placed = kind.screening is not None and kind.screening.placed and joint is not None
+        if not placed or not trial.possible or trial.gain <= SELECTION.least_gain:
+            return trial
+        assert joint is not None
+        needed = level_elsewhere(self._screen(state, trial.model), kind, joint, blocks(self.predictor))
+        if trial.gain > needed:
+            return trial
+        return replace(trial, problem=f"in some other part of the log one would have as much ({needed:.3g} nat)")
+
+    def _screen(self, state: SelectionState, model: Fitted) -> CausalScreen:
+        """The screening about a model of a stage."""
+        fit = PredictionFit(self.predictor, state.noise)
+        jacobian = fit.whitened(fit.derivatives(model.point, self.trials.free(model.point), state.nearby))
+        return CausalScreen(fit, model.point, model.errors, jacobian, self.problem)
 
     def _chance(self, state: SelectionState, causal: CausalScreen) -> Threshold:
         """What the shifted innovations of a screen exceed by chance, over all that the short list is taken of: each of
@@ -266,6 +292,21 @@ class Selection:
             return level(np.max(gains[dry], axis=0), 0.5 * SELECTION.surrogate_level) if gains[dry] else 0.0
 
         return Threshold(reached(True), reached(False))
+
+    def _beside(self, state: SelectionState, trial: Trial) -> bool:
+        """Whether a trial of dry friction is clearly better than the model with effects that it is added to."""
+        needs = bool(state.chosen) and self.library[trial.name].dry
+        return not needs or clearly_better(self.predictor, trial.model, state.model)
+
+    def _common(self, accepted: Trial, passing: Sequence[Trial]) -> Trial:
+        """Dry friction of the same joint, if what was accepted is not clearly better: all but every drive has it.
+        A push is no rival: it stands out beside friction as well."""
+        screening = self.library[accepted.name].screening
+        if self.library[accepted.name].dry or (screening is not None and screening.placed):
+            return accepted
+        dry = [t for t in passing if self.library[t.name].dry and t.joint == accepted.joint]
+        alike = [t for t in dry if not clearly_better(self.predictor, accepted.model, t.model)]
+        return self._parsimonious(max(alike, key=lambda t: t.gain), alike) if alike else accepted
 
     def _parsimonious(self, best: Trial, trials: Iterable[Trial]) -> Trial:
         """The best trial, or the next on its joint that contains the same, if it is clearly better than all that it
