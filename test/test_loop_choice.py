@@ -18,7 +18,7 @@ from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionF
 from puma_sim_core.identify.fitting.trials import Trial, Trials
 from puma_sim_core.identify.residuals.unnamed import Explained, curve_preferred
 from puma_sim_core.identify.screening.evidence import Scored
-from puma_sim_core.identify.selection.elimination import Elimination
+from puma_sim_core.identify.selection.elimination import Elimination, _Compared
 from puma_sim_core.identify.selection.selection import Selection
 from puma_sim_core.identify.selection.state import Chosen, SelectionState, Stage, Threshold
 from puma_sim_core.plant.mechanism_file import load_mechanism
@@ -411,3 +411,23 @@ def test_a_zero_that_no_sensor_has_is_a_fault_of_the_data(gain, rival, problem, 
 
 def test_a_spring_is_contained_in_a_stop():
     assert "joint_spring" in KINDS["soft_stop"].contains
+
+
+def test_a_stop_that_the_fit_moved_beyond_the_motion_keeps_its_column(monkeypatch):
+    """Rivals are fitted beside the columns that the derivatives have, not those that the fitted model would have."""
+    stop, names = parse_effect("soft_stop:joint=1,upper=0.1,stiffness=30"), ((0, "stiffness"), (0, "upper"))
+    bare = replace(fitted(), point=Point(np.zeros(1), (stop,)), names=names)
+    rival, asked = replace(trial(B, 30.0), fitted=bare), []
+    found = _Compared(fitted(), bare, SimpleNamespace(jacobian=None), 1.0)
+    fit = SimpleNamespace(best_of=lambda points: next(iter(points)), run=lambda *_, frozen, **__: asked.append(frozen))
+    monkeypatch.setattr("puma_sim_core.identify.selection.elimination.PredictionFit", lambda *_: fit)
+    monkeypatch.setattr("puma_sim_core.identify.selection.elimination.CausalScreen", lambda *_: None)
+    judge = elimination(SimpleNamespace(predictor=None, problem=None, names=lambda *_: [], free=lambda point: ()))
+    monkeypatch.setattr(judge, "_compared", lambda *_: found, raising=False)
+    monkeypatch.setattr(judge, "_asked_for", lambda *_: True)
+    monkeypatch.setattr(judge, "_rivals", lambda *_: [rival])
+    monkeypatch.setattr(judge, "_screened_again", lambda *_: [])
+    first = trial(A, 90.0)
+    state = state_of([Stage((first,), Threshold.alike(8.0), None, first)], first)
+    assert judge._without_or_replaced(state, 0) is None
+    assert asked == [names]
