@@ -15,6 +15,7 @@ from puma_sim_core.identify.screening.surrogates import level
 from puma_sim_core.identify.selection.selection import Selection, in_both
 from puma_sim_core.identify.selection.state import Stage, Threshold
 from puma_sim_core.identify.settings import FITTING, SELECTION
+from puma_sim_core.identify.standing import standings
 from puma_sim_core.plant.mechanism_file import load_mechanism
 
 
@@ -136,3 +137,13 @@ def test_beside_others_friction_is_judged_in_its_own_direction(name, gain, stays
     assert Selection._beside(chooser, with_one, added) is (name != "coulomb_friction")
     assert Selection._beside(chooser, replace(with_one, model=bare), added)
     assert Selection._beside(chooser, replace(with_one, chosen=()), added)
+
+
+def test_friction_that_is_not_clearly_better_is_not_named_and_the_report_says_so():
+    friction = replace(trial(A, 60.0), fitted=fitted())
+    chooser = choosing(Threshold.alike(SELECTION.least_gain))
+    chooser._beside = lambda state, one: one.key != A
+    state = Selection.decide(chooser, replace(state_of([]), trials=(friction,)))
+    assert state.history[-1].accepted is None and state.history[-1].unclear == {A}
+    (row,) = standings(state, lambda one, other: True)
+    assert row.key == A and row.verdict.startswith("not clearly better than the model without it")

@@ -153,6 +153,8 @@ def _added(state: SelectionState, stage: Stage, trial: Trial) -> Standing:
         verdict = "it does not lower the error on the validation set"
     elif best is not None:
         verdict = f"lower than {effect_name(best.name, lower=True)} by {best.gain - trial.gain:.0f} nat"
+    elif trial.key in stage.unclear:
+        verdict = "not clearly better than the model without it: what else that misfits may make as much"
     else:
         verdict = "too little of it acts in the validation set"
     return Standing(trial.key, float(trial.gain), verdict, None, trial.problem is None, trial)

@@ -171,10 +171,11 @@ class Selection:
         best, accepted = state.best, None
         if best is not None and best.gain > SELECTION.least_gain:
             accepted = self._parsimonious(best, trials)
-        stage = Stage(trials, threshold, state.model, None, doubted)
+        unclear = frozenset(t.key for t in trials if t.possible and not self._beside(state, t))
+        stage = Stage(trials, threshold, state.model, None, doubted, unclear)
         if accepted is not None and best is not None:
             # one that does not lower the error on the validation set is replaced by the next that does
-            passing = [t for t in trials if _passes(t, stage, best) and self._beside(state, t)]
+            passing = [t for t in trials if _passes(t, stage, best)]
             if accepted not in passing:
                 accepted = self._parsimonious(passing[0], passing) if passing else None
             if accepted is not None:
@@ -359,6 +360,7 @@ def _passes(trial: Trial, stage: Stage, best: Trial) -> bool:
     """Whether a trial may be accepted in a stage whose best trial is `best`."""
     return (
         trial.problem is None
+        and trial.key not in stage.unclear
         and trial.validation_gain > 0.0
         and trial.gain > stage.needed(trial)
         and trial.gain > SELECTION.replacement_share * best.gain

@@ -42,7 +42,8 @@ class Stage:
     """A completed stage of the selection.
 
     trials : best first; threshold : of a name; base : the model that gains are over; accepted : the trial that the log
-    asks for; doubted : the validation refused the noise that the model leaves.
+    asks for; doubted : the validation refused the noise that the model leaves; unclear : dry friction that is not
+    clearly better than the model that it would be added to.
     """
 
     trials: tuple[Trial, ...]
@@ -50,6 +51,7 @@ class Stage:
     base: Fitted
     accepted: Trial | None = None
     doubted: bool = False
+    unclear: frozenset[Key] = frozenset()
 
     def needed(self, trial: Trial) -> float:
         """The gain [nat] that a trial must have more than: more where it does not act on the validation set."""
