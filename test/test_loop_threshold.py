@@ -13,7 +13,7 @@ from test_loop_choice import CHOOSER, A, B, elimination, fitted, state_of, trial
 from puma_sim_core.effects import KINDS
 from puma_sim_core.identify.screening.surrogates import level
 from puma_sim_core.identify.selection.selection import Selection, in_both
-from puma_sim_core.identify.selection.state import Stage, Threshold
+from puma_sim_core.identify.selection.state import Chosen, Stage, Threshold
 from puma_sim_core.identify.settings import FITTING, SELECTION
 from puma_sim_core.identify.standing import standings
 from puma_sim_core.plant.mechanism_file import load_mechanism
@@ -38,7 +38,7 @@ def test_a_gain_in_two_noises_is_one_that_holds_in_both(gains, threshold, others
     found, least = in_both(trials(gains), Threshold.alike(threshold), trials(others), Threshold.alike(other))
     assert least == Threshold.alike(min(threshold, other))
     for one, own, value, is_named in zip(found, gains, (*others, np.inf, np.inf), named):
-        assert (one.gain > least.of(one.name)) == is_named
+        assert (one.gain > least.of(one.key)) == is_named
         assert one.gain <= min(own, value)
 
 
@@ -125,18 +125,30 @@ def test_beside_others_friction_is_judged_in_its_own_direction(name, gain, stays
     friction has 20 nat by 3.2 standard errors."""
     full, bare = worse_by(0.0), worse_by(gain)
     found = SimpleNamespace(full=full, bare=bare, gain=gain, dispersion=6.0)
-    chosen = SimpleNamespace(key=(name, 1), occam=0.0)
+    chosen = Chosen((name, 1), 0.0, None, gain)
+    state = replace(state_of([]), chosen=(chosen,))
     judge = elimination(SimpleNamespace(predictor=CHOOSER.predictor))
-    assert judge._asked_for(chosen, found) is stays
+    assert judge._asked_for(state, chosen, found) is stays
     # no gain that chance gives
     few = SimpleNamespace(full=full, bare=worse_by(15.0), gain=15.0, dispersion=1.0)
-    assert not judge._asked_for(chosen, few)
+    assert not judge._asked_for(state, chosen, few)
+    # a second dry friction of a joint is no more common than anything else
+    second = replace(state, chosen=(chosen, replace(chosen, key=("load_dependent_friction", 1))))
+    assert not judge._asked_for(second, chosen, found)
     added = replace(trial((name, 1), gain), fitted=full)
     chooser = SimpleNamespace(library=KINDS, predictor=CHOOSER.predictor)
-    with_one = replace(state_of([]), model=worse_by(7.9), chosen=("one",))
+    with_one = replace(state_of([]), model=worse_by(7.9), chosen=(replace(chosen, key=B),))
     assert Selection._beside(chooser, with_one, added) is (name != "coulomb_friction")
     assert Selection._beside(chooser, replace(with_one, model=bare), added)
     assert Selection._beside(chooser, replace(with_one, chosen=()), added)
+    assert Selection._beside(chooser, second, added)
+
+
+def test_the_first_dry_friction_of_a_joint_needs_less():
+    asked = Threshold(dry=20.0, other=100.0, rubbing=frozenset({2}))
+    assert [asked.of(("coulomb_friction", joint)) for joint in (1, 2)] == [20.0, 100.0]
+    assert asked.of(("voltage_dead_band", 1)) == 100.0
+    assert asked.least(Threshold(16.0, 120.0)) == Threshold(16.0, 100.0, frozenset({2}))
 
 
 def test_friction_that_is_not_clearly_better_is_not_named_and_the_report_says_so():

@@ -293,7 +293,7 @@ class Stages:
             found = alike.get((kind.name, joint))
             causal = beside if found is None else alone
             pairs = [(c, causal.gram(c)) for c in candidates(kind, joint, causal.signals)]
-            row = detectable(kind, joint, pairs, state.history[-1].threshold.of(kind.name), found)
+            row = detectable(kind, joint, pairs, state.history[-1].threshold.of((kind.name, joint)), found)
             rows.append(replace(row, unit=self.mechanism.unit(row.unit)))
         return tuple(rows)
 

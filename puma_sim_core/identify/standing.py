@@ -147,8 +147,8 @@ def _added(state: SelectionState, stage: Stage, trial: Trial) -> Standing:
         verdict = trial.problem
     elif trial.key in state.retracted:
         verdict = "retracted: it does not lower the validation error, or a free curve leaves clearly less"
-    elif trial.gain <= stage.threshold.of(trial.name):
-        verdict = f"below the threshold of {stage.threshold.of(trial.name):.0f} nat"
+    elif trial.gain <= stage.threshold.of(trial.key):
+        verdict = f"below the threshold of {stage.threshold.of(trial.key):.0f} nat"
     elif trial.validation_gain <= 0.0:
         verdict = "it does not lower the error on the validation set"
     elif best is not None:

@@ -28,7 +28,7 @@ def wrong_zeros(stages: Iterable[Stage]) -> list[Fault]:
             if t.fitted is not None
             and t.problem is not None
             and t.effect.kind.shifts_zero
-            and t.gain > max(best, stage.threshold.of(t.name)) + CHECKS.zero_clearer
+            and t.gain > max(best, stage.threshold.of(t.key)) + CHECKS.zero_clearer
         ]
         if found:
             return found

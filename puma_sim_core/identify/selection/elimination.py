@@ -66,7 +66,7 @@ class Elimination:
             if found is None:
                 continue
             gain = found.gain - chosen.occam
-            if not self._asked_for(chosen, found):
+            if not self._asked_for(state, chosen, found):
                 rest = _less(state.chosen, number)
                 return self.confirm(replace(state, model=found.bare, jacobian=None, chosen=rest))
             kept[number] = replace(chosen, gain=min(chosen.gain, gain))
@@ -104,7 +104,7 @@ class Elimination:
         full, bare, others, scatter = found
         # a stop that the fit moved beyond the motion keeps its column
         frozen = bare.names
-        if not self._asked_for(chosen, found):
+        if not self._asked_for(state, chosen, found):
             return self.eliminate(replace(state, model=bare, jacobian=None, chosen=rest))
         best: tuple[float, Trial, Fitted] | None = None
         rivals = self._rivals(state, chosen.key)
@@ -201,11 +201,12 @@ class Elimination:
             t for n, t in enumerate(near) if n < SELECTION.rivals or (t.joint == key[1] and self._contains(t, key[0]))
         ]
 
-    def _asked_for(self, chosen: Chosen, found: _Compared) -> bool:
-        """Whether the log asks for an effect beside the others: by what all of them misfit; for dry friction, which all
-        but every drive has, by what they misfit in the direction in which the model differs without it."""
+    def _asked_for(self, state: SelectionState, chosen: Chosen, found: _Compared) -> bool:
+        """Whether the log asks for an effect beside the others: by what all of them misfit; for the only dry friction
+        of a joint, which all but every drive has, by what they misfit in the direction of the model without it."""
         gain = found.gain - chosen.occam
-        if self.library[chosen.key[0]].dry:
+        rubbing = [key for key in state.keys if self.library[key[0]].dry and key[1] == chosen.key[1]]
+        if rubbing == [chosen.key]:
             return gain >= SELECTION.least_gain and clearly_better(self.predictor, found.full, found.bare)
         return gain >= SELECTION.least_gain * found.dispersion
 

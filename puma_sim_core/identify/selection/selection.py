@@ -260,8 +260,8 @@ class Selection:
             # beside an effect, what that one misfits counts as well; the first one takes up misfit itself
             least *= dispersion(self.predictor, screen.jacobian, screen.errors, len(screen.point.theta))
         chance = self._chance(state, screen)
-        # dry friction beside an effect is compared in the direction of its own (`_beside`)
-        return Threshold(max(SELECTION.least_gain, chance.dry), max(least, chance.other))
+        # the first dry friction of a joint, beside other effects, is compared in the direction of its own (`_beside`)
+        return Threshold(max(SELECTION.least_gain, chance.dry), max(least, chance.other), state.rubbing)
 
     def _beside_elsewhere(self, state: SelectionState, trial: Trial) -> Trial:
         kind, joint = self.library[trial.name], trial.joint
@@ -295,8 +295,8 @@ class Selection:
         return Threshold(reached(True), reached(False))
 
     def _beside(self, state: SelectionState, trial: Trial) -> bool:
-        """Whether a trial of dry friction is clearly better than the model with effects that it is added to."""
-        needs = bool(state.chosen) and self.library[trial.name].dry
+        """Whether the first dry friction of a joint is clearly better than the model with effects that it is added to."""
+        needs = bool(state.chosen) and self.library[trial.name].dry and trial.joint not in state.rubbing
         return not needs or clearly_better(self.predictor, trial.model, state.model)
 
     def _common(self, accepted: Trial, passing: Sequence[Trial]) -> Trial:
@@ -339,11 +339,11 @@ def in_both(
     """
     least, there = threshold.least(other), {t.key: t.gain for t in others}
 
-    def held(name: str, gain: float, own: Threshold) -> float:
-        return gain if gain > own.of(name) else gain * least.of(name) / own.of(name)
+    def held(key: Key, gain: float, own: Threshold) -> float:
+        return gain if gain > own.of(key) else gain * least.of(key) / own.of(key)
 
     def lesser(t: Trial) -> float:
-        return min(held(t.name, t.gain, threshold), held(t.name, there.get(t.key, t.gain), other))
+        return min(held(t.key, t.gain, threshold), held(t.key, there.get(t.key, t.gain), other))
 
     return tuple(replace(t, gain=lesser(t)) for t in trials), least
 

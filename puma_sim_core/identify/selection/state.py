@@ -17,24 +17,25 @@ from puma_sim_core.identify.settings import SELECTION
 
 @dataclass(frozen=True)
 class Threshold:
-    """Gain [nat] that a name needs, by chance and by what the effects before it misfit: of dry friction, which all but
-    every drive has, and of any other effect."""
+    """Gain [nat] that a name needs, by chance and by what the effects before it misfit: of the first dry friction of a
+    joint, which all but every drive has, and of any other effect. rubbing : joints (1-based) that have dry friction."""
 
     dry: float
     other: float
+    rubbing: frozenset[int | None] = frozenset()
 
     @classmethod
     def alike(cls, gain: float) -> Threshold:
         """The same for all."""
         return cls(gain, gain)
 
-    def of(self, name: str) -> float:
+    def of(self, key: Key) -> float:
         """That of an effect."""
-        return self.dry if KINDS[name].dry else self.other
+        return self.dry if KINDS[key[0]].dry and key[1] not in self.rubbing else self.other
 
     def least(self, other: Threshold) -> Threshold:
         """The lesser of two."""
-        return Threshold(min(self.dry, other.dry), min(self.other, other.other))
+        return replace(self, dry=min(self.dry, other.dry), other=min(self.other, other.other))
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ class Stage:
 
     def needed(self, trial: Trial) -> float:
         """The gain [nat] that a trial must have more than: more where it does not act on the validation set."""
-        asked = self.threshold.of(trial.name)
+        asked = self.threshold.of(trial.key)
         return max(asked, SELECTION.least_untried) if trial.untried else asked
 
 
@@ -114,6 +115,11 @@ class SelectionState:
     def keys(self) -> tuple[Key, ...]:
         """(name, joint) of the chosen effects."""
         return tuple(chosen.key for chosen in self.chosen)
+
+    @property
+    def rubbing(self) -> frozenset[int | None]:
+        """Joints (1-based) that have dry friction in the model."""
+        return frozenset(joint for name, joint in self.keys if KINDS[name].dry)
 
     @property
     def derivatives(self) -> Floats:
