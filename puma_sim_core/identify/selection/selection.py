@@ -295,7 +295,7 @@ class Selection:
         return Threshold(reached(True), reached(False))
 
     def _beside(self, state: SelectionState, trial: Trial) -> bool:
-        """Whether the first dry friction of a joint is clearly better than the model with effects that it is added to."""
+        """Whether the first dry friction of a joint is clearly better than the model with effects, without it."""
         needs = bool(state.chosen) and self.library[trial.name].dry and trial.joint not in state.rubbing
         return not needs or clearly_better(self.predictor, trial.model, state.model)
 
