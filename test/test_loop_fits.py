@@ -13,10 +13,12 @@ from loop_fits import NOISE, PENDULUM, lacking
 from loop_logs import pieces, record
 
 from puma_sim_core.effects import KINDS, Effect, parse_effect
+from puma_sim_core.errors import NonFiniteStateError
 from puma_sim_core.identify import explain
 from puma_sim_core.identify.fitting.intervals import intervals
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit, Slopes, bounded_step
 from puma_sim_core.identify.fitting.trials import Base, Trial, Trials
+from puma_sim_core.identify.prepare import runnable
 from puma_sim_core.identify.screening.evidence import Scored
 from puma_sim_core.identify.selection.refits import Refits
 from puma_sim_core.identify.selection.state import Stage, Threshold
@@ -263,6 +265,27 @@ def test_a_variation_whose_amplitude_stuck_at_zero_is_tried_from_every_side():
     assert good.gain > plain.gain + 10.0 and again.gain > good.gain - 1.0
     # at no amplitude no angle helps
     assert trials.run(base, stuck.scored, Point(plain.fitted.point.theta, (nothing,))).gain < good.gain - 10.0
+
+
+def test_parameters_that_no_log_can_be_predicted_with_go_back_towards_their_start():
+    """A stop that the model lacks drove them so far that explain ended with an error (record 991768)."""
+    start, far = np.array([1.0, 2.0]), np.array([5.0, -2.0])
+
+    def predictor(most):
+        """Predicts with parameters up to some distance from their start."""
+
+        def errors(theta):
+            if np.linalg.norm(theta - start) > most:
+                raise NonFiniteStateError(7)
+            return np.zeros((10, 1))
+
+        mechanism = SimpleNamespace(start=start, plant=lambda theta, effects: theta)
+        return SimpleNamespace(mechanism=mechanism, errors=errors)
+
+    whole = float(np.linalg.norm(far - start))
+    assert np.array_equal(runnable(predictor(whole), far), far)
+    assert runnable(predictor(0.4 * whole), far) == pytest.approx(start + 0.25 * (far - start))
+    assert np.array_equal(runnable(predictor(0.0), far), start)
 
 
 def test_a_level_that_stuck_far_off_starts_from_the_one_of_what_contains_it():

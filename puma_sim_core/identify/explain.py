@@ -209,7 +209,7 @@ class Stages:
         self.mechanism = prepared.problem.mechanism
         self.seed = seed
         self.progress = progress
-        bank, doubted = prepared.search.bank(prepared.retuned.theta), {_joint(doubt) for doubt in doubts}
+        bank, doubted = prepared.search.bank(prepared.theta), {_joint(doubt) for doubt in doubts}
         short_list = ShortList(prepared.search, self.predictor, bank, doubted)
         self.selection = Selection(short_list, Trials(self.predictor, self.problem), prepared.library, seed, progress)
 
@@ -224,7 +224,7 @@ class Stages:
 
     def select(self) -> SelectionState:
         """Screening, fits, and selection of effects."""
-        return self.selection.run(self.prepared.retuned.theta)
+        return self.selection.run(self.prepared.theta)
 
     def unexplained(self, state: SelectionState, doubts: Sequence[Fault]) -> list[Fault]:
         """The doubts about joints whose voltage the effects found leave most of."""

@@ -2,6 +2,7 @@
 """Logs made ready for the selection: sampling, retuned parameters, noise, Kalman predictor."""
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import NamedTuple
@@ -9,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from puma_sim_core.effects import KINDS, Kind
+from puma_sim_core.errors import NonFiniteStateError, ParameterError
 from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.checks.start_up import held_starts
 from puma_sim_core.identify.data.log import Log
@@ -43,8 +45,9 @@ class Beside(NamedTuple):
 class Prepared:
     """What the selection starts from.
 
-    library : name -> effect, of those that the mechanism may have; retuned : parameters by filtered motion, without
-    effects; cuts : starts of logs that were left out.
+    library : name -> effect, of those that the mechanism may have; retuned : the model by filtered motion, without
+    effects; theta (p,) : its parameters, or those on the way to them with which the logs can be predicted; cuts :
+    starts of logs that were left out.
     """
 
     logs: tuple[Log, ...]
@@ -52,6 +55,7 @@ class Prepared:
     library: dict[str, Kind]
     search: Search
     retuned: Fit
+    theta: Floats
     predictor: Predictor
     cuts: tuple[Fault, ...] = ()
 
@@ -65,7 +69,7 @@ class Prepared:
         noise = self.problem.sampled.position_noise
         chosen = _validation(problem, len(logs))
         predictor = Predictor(logs, mechanism, chosen, None, noise, self.predictor.expected)
-        left, cuts = _without_starts(logs, mechanism, predictor, self.retuned.theta)
+        left, cuts = _without_starts(logs, mechanism, predictor, self.theta)
         return self.beside(left)._replace(cuts=cuts) if cuts else Beside(problem, predictor)
 
 
@@ -75,7 +79,7 @@ def prepare(logs: Sequence[Log], mechanism: Mechanism, progress: Callable[[str, 
     Starts of logs that no input explains are left out.
     """
     found = _prepared(logs, mechanism, progress)
-    left, cuts = _without_starts(logs, mechanism, found.predictor, found.retuned.theta)
+    left, cuts = _without_starts(logs, mechanism, found.predictor, found.theta)
     return replace(_prepared(left, mechanism, progress), cuts=tuple(cuts.values())) if cuts else found
 
 
@@ -96,7 +100,22 @@ def _prepared(logs: Sequence[Log], mechanism: Mechanism, progress: Callable[[str
     scale = mechanism.drive(mechanism.start).volts_per_torque * np.asarray(mechanism.torque_scale)
     noise = np.clip(noise, FITTING.least_expected_noise * scale, FITTING.greatest_expected_noise * scale)
     predictor = Predictor(logs, mechanism, _validation(problem, len(logs)), None, sampled.position_noise, noise)
-    return Prepared(tuple(logs), problem, library, search, retuned, predictor)
+    theta = runnable(predictor, retuned.theta)
+    return Prepared(tuple(logs), problem, library, search, retuned, theta, predictor)
+
+
+def runnable(predictor: Predictor, theta: Floats) -> Floats:
+    """Parameters (p,) on the way from `theta` to the start values with which the logs can be predicted.
+
+    What the model lacks, such as a stop, may have driven them to where no machine stays finite.
+    """
+    mechanism = predictor.mechanism
+    for share in FITTING.runnable_shares:
+        at = mechanism.start + share * (theta - mechanism.start)
+        with suppress(NonFiniteStateError, ParameterError):
+            predictor.errors(Point(at, ()).plant(mechanism))
+            return at
+    return mechanism.start
 
 
 def _without_starts(
@@ -104,7 +123,8 @@ def _without_starts(
 ) -> tuple[list[Log], dict[str, Fault]]:
     """Logs without starts that no input explains, and the faults of these by the names of their logs. theta (p,) :
     retuned parameters."""
-    held = held_starts(logs, predictor, predictor.errors(Point(theta, ()).plant(mechanism)))
+    point = Point(runnable(predictor, theta), ())
+    held = held_starts(logs, predictor, predictor.errors(point.plant(mechanism)))
     left = [log if fault is None else log.part(slice(fault.rows, None)) for log, fault in zip(logs, held)]
     return left, {log.name: fault for log, fault in zip(logs, held) if fault is not None}
 

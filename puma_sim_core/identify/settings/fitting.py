@@ -66,6 +66,8 @@ class Fitting:
     difference: float = 0.05  #: finite difference, in standard deviations of a mechanism's parameter
     whitened_together: int = 8  #: derivatives that are whitened at once: one group of vector registers
     effect_difference: float = 0.01  #: in sizes of an effect's parameter
+    #: shares of the way from the start values to the retuned ones that are tried until the logs can be predicted
+    runnable_shares: tuple[float, ...] = (1.0, 0.5, 0.25, 0.125)
     least_precision: float = 1e-4  #: of an effect's parameter without a prior, per its size: decides nothing
     prior_floor: float = 1e-3  #: of a logarithmic prior's parameter over its median: keeps the logarithm finite
     #: what a parameter of an effect near zero counts as, by its unit, and in any other unit; least size over it
