@@ -288,6 +288,18 @@ def test_parameters_that_no_log_can_be_predicted_with_go_back_towards_their_star
     assert np.array_equal(runnable(predictor(0.0), far), start)
 
 
+def test_a_drive_train_that_no_log_can_show_is_not_run():
+    """A fit on 40 s of a pendulum spent ten minutes in runs of such models."""
+    base, _, _ = lacking(parse_effect("coulomb_friction:joint=1,torque=0.05"))
+
+    def innovations(text):
+        return base.fit.errors(Point(PENDULUM.start, (parse_effect(text),)))
+
+    assert np.isfinite(innovations("joint_elasticity:joint=1,stiffness=300,damping=0.3")).all()
+    assert innovations("joint_elasticity:joint=1,stiffness=1000,damping=1000") is None
+    assert PENDULUM.plant(effects=(parse_effect("coulomb_friction:joint=1,torque=0.05"),)).least_rate == 0.0
+
+
 def test_a_level_that_stuck_far_off_starts_from_the_one_of_what_contains_it():
     """Seen on the double pendulum: one level of friction had 4 nat at 0.165 N.m, and 118 as friction over the position
     without any variation."""

@@ -153,6 +153,12 @@ class Plant:
             active |= Stage.ALGEBRAIC.value
         return Constants(Model(body, Drive(*drive), active), table)
 
+    @property
+    def least_rate(self) -> float:
+        """Steps in a second [1/s] that the fastest motion of two masses on a joint needs; 0.0 without such."""
+        model, table = self.constants
+        return float(table[-1]) if model.active & Stage.TWO_MASS else 0.0
+
     def to_mapping(self) -> dict[str, Any]:
         """Plain values of a model file; every digit is kept."""
         return {

@@ -191,7 +191,11 @@ class PredictionFit:
 
     def _raw(self, point: Point) -> Floats | None:
         try:
-            return self.predictor.remembered(point.key, lambda: self.predictor.errors(point.plant(self.mechanism)))
+            plant = point.plant(self.mechanism)
+            # a drive train as fast as this is rigid in any log, and would take minutes to run along it
+            if plant.least_rate > FITTING.greatest_rate:
+                return None
+            return self.predictor.remembered(point.key, lambda: self.predictor.errors(plant))
         except (NonFiniteStateError, ParameterError):
             return None
 
