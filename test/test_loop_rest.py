@@ -8,6 +8,9 @@ import pytest
 
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.identify import explain
+from puma_sim_core.identify.data.machine_log import read_for
+from puma_sim_core.identify.fitting.predictor import Predictor
+from puma_sim_core.identify.noise import innovations
 from puma_sim_core.plant.mechanism_file import load_mechanism
 from puma_sim_core.simulation.simulator import Simulator
 
@@ -49,3 +52,15 @@ def test_dry_friction_is_named_on_a_joint_that_it_all_but_holds(tmp_path):
         plant="dfki_pendulum",
     )
     assert ("coulomb_friction", 1) in [(effect.name, effect.joint) for effect in found.effects]
+
+
+def test_the_noise_of_a_joint_is_that_of_its_motion_however_short_that_is(tmp_path):
+    goals = 0.2 * np.random.default_rng(3).uniform(-1.0, 1.0, 10)
+    path = servo_log(tmp_path / "log.csv", lambda t: float(goals[int(t / 4.0)]), 40.0)
+    log = read_for(PENDULUM, path)
+    predictor = Predictor([log], PENDULUM, [lambda t: t > 1e9], None, np.array([QUANTUM / np.sqrt(12.0)]))
+    moving = predictor.noisy_rows
+    assert 0.02 < moving.mean() < 0.4
+    errors = predictor.errors(PENDULUM.plant(effects=(FRICTION,)))
+    for weighting in (predictor.unfiltered_weighting(errors), innovations.weighting(predictor, errors)):
+        assert 0.1 < float((weighting(errors)[moving] ** 2).mean()) < 10.0

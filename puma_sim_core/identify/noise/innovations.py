@@ -86,22 +86,24 @@ def _periodogram(predictor: Predictor, errors: Floats, j: int) -> tuple[Floats, 
     """Frequencies [Hz] and power [rad^2/Hz] of the rows to fit, in the order of the frequencies.
 
     Runs are cut into overlapping segments (Welch 1967, IEEE Trans. Audio Electroacoust. 15:70): what happens in one of
-    them, such as an impact, moves no median. Segments in which the joint mostly rests do not count.
+    them, such as an impact, moves no median. Segments count in which the joint moves for
+    half as long as in the one where it moves longest.
     """
     step, fitted, noisy = predictor.step, predictor.fit_rows[:, j], predictor.noisy_rows[:, j]
-    found = []
+    found, moving = [], list[float]()
     for rows in log_rows(predictor.lengths):
         for a, b in runs(fitted[rows]):
             for first, last in _segments(a, b, round(NOISE.spectrum_longest / step)):
-                moves = 2 * np.count_nonzero(noisy[rows][first:last]) >= last - first
-                if (last - first) * step >= NOISE.spectrum_shortest and moves:
+                if (last - first) * step >= NOISE.spectrum_shortest:
                     taper = np.hanning(last - first)
                     power = np.abs(np.fft.rfft(errors[rows][first:last] * taper)) ** 2
                     density = power[1:] * 2.0 * step / (taper @ taper)
                     found.append((fft.rfftfreq(last - first, step)[1:], density))
+                    moving.append(float(noisy[rows][first:last].mean()))
     if not found:
         return np.zeros(0), np.zeros(0)
-    f, p = (np.concatenate(parts) for parts in zip(*found))
+    counted = [pair for pair, share in zip(found, moving) if 2.0 * share >= max(moving)]
+    f, p = (np.concatenate(parts) for parts in zip(*counted))
     order = np.argsort(f, kind="stable")
     return f[order], p[order]
 
