@@ -55,8 +55,8 @@ def test_dry_friction_is_named_on_a_joint_that_it_all_but_holds(tmp_path):
 
 
 def test_the_noise_of_a_joint_is_that_of_its_motion_however_short_that_is(tmp_path):
-    goals = 0.2 * np.random.default_rng(3).uniform(-1.0, 1.0, 10)
-    path = servo_log(tmp_path / "log.csv", lambda t: float(goals[int(t / 4.0)]), 40.0)
+    # to and fro every four seconds: in no segment of 1.5 s does it move for half
+    path = servo_log(tmp_path / "log.csv", lambda t: 0.03 * (-1.0) ** int(t / 4.0), 80.0)
     log = read_for(PENDULUM, path)
     predictor = Predictor([log], PENDULUM, [lambda t: t > 1e9], None, np.array([QUANTUM / np.sqrt(12.0)]))
     moving = predictor.noisy_rows
