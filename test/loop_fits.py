@@ -5,8 +5,10 @@ from __future__ import annotations
 
 from loop_logs import pieces, record
 
+from puma_sim_core.effects import parse_effect
 from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
 from puma_sim_core.identify.fitting.trials import Base, Trials
+from puma_sim_core.identify.screening.evidence import Scored
 from puma_sim_core.identify.selection.state import SelectionState
 from puma_sim_core.plant.mechanism_file import load_mechanism
 
@@ -24,3 +26,10 @@ def lacking(effect):
     raw = fit.derivatives(base.point, ())
     state = SelectionState(base, raw, fit.weighting)
     return Base(fit, base, fit.whitened(raw)), Trials(predictor, problem), state
+
+
+def tried(base, trials, text):
+    """The trial of an effect in the text form, from the start values of the parameters."""
+    effect = parse_effect(text)
+    scored = Scored(effect.kind.name, 1, 0.0, values=dict(effect.values))
+    return trials.run(base, scored, Point(PENDULUM.start, (effect,)))

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from loop_fits import NOISE, PENDULUM, lacking
+from loop_fits import NOISE, PENDULUM, lacking, tried
 from loop_logs import pieces, record
 
 from puma_sim_core.effects import KINDS, Effect, parse_effect
@@ -249,13 +249,8 @@ def test_a_variation_whose_amplitude_stuck_at_zero_is_tried_from_every_side():
     true = parse_effect("position_dependent_friction:joint=1,torque=0.05,amplitude=0.03,angle=-2")
     base, trials, state = lacking(true)
 
-    def tried(text):
-        effect = parse_effect(text)
-        scored = Scored(effect.kind.name, 1, 0.0, values=dict(effect.values))
-        return trials.run(base, scored, Point(PENDULUM.start, (effect,)))
-
-    plain = tried("coulomb_friction:joint=1,torque=0.05")
-    good = tried("position_dependent_friction:joint=1,torque=0.05,amplitude=0.03,angle=-2")
+    plain = tried(base, trials, "coulomb_friction:joint=1,torque=0.05")
+    good = tried(base, trials, "position_dependent_friction:joint=1,torque=0.05,amplitude=0.03,angle=-2")
     level = plain.fitted.point.effects[0].values["torque"]
     nothing = Effect(true.kind, 1, {"torque": level, "amplitude": 0.0, "angle": 1.0})
     stuck = replace(
@@ -289,7 +284,7 @@ def test_parameters_that_no_log_can_be_predicted_with_go_back_towards_their_star
 
 
 def test_a_drive_train_that_no_log_can_show_is_not_run():
-    """A fit on 40 s of a pendulum spent ten minutes in runs of such models."""
+    """Along 40 s of a log they would take tens of millions of steps."""
     base, _, _ = lacking(parse_effect("coulomb_friction:joint=1,torque=0.05"))
 
     def innovations(text):
@@ -305,13 +300,8 @@ def test_a_level_that_stuck_far_off_starts_from_the_one_of_what_contains_it():
     without any variation."""
     base, trials, state = lacking(parse_effect("coulomb_friction:joint=1,torque=0.05"))
 
-    def tried(text):
-        effect = parse_effect(text)
-        scored = Scored(effect.kind.name, 1, 0.0, values=dict(effect.values))
-        return trials.run(base, scored, Point(PENDULUM.start, (effect,)))
-
-    plain = tried("coulomb_friction:joint=1,torque=0.05")
-    rich = tried("asymmetric_coulomb_friction:joint=1,positive=0.05,negative=0.05")
+    plain = tried(base, trials, "coulomb_friction:joint=1,torque=0.05")
+    rich = tried(base, trials, "asymmetric_coulomb_friction:joint=1,positive=0.05,negative=0.05")
     holding = Point(base.model.point.theta, (parse_effect("coulomb_friction:joint=1,torque=0.9"),))
     errors = base.fit.errors(holding)
     stuck = replace(plain.fitted, point=holding, errors=errors, objective=base.fit.objective(errors, holding))

@@ -192,7 +192,7 @@ class PredictionFit:
     def _raw(self, point: Point) -> Floats | None:
         try:
             plant = point.plant(self.mechanism)
-            # a drive train as fast as this is rigid in any log, and would take minutes to run along it
+            # a drive train as fast as this is rigid in any log, and takes millions of steps along it
             if plant.least_rate > FITTING.greatest_rate:
                 return None
             return self.predictor.remembered(point.key, lambda: self.predictor.errors(plant))
