@@ -59,10 +59,13 @@ def node(ros2):
 
 
 def wait_for_daemon(ros2) -> None:
-    """Return when the daemon of the tools knows the simulator; it answers before it knows anything."""
+    """Return when the daemon of the tools knows the simulator: it answers before it knows anything.
+
+    The name of a node comes by another topic than its endpoints do, and may come later.
+    """
     ros2("daemon", "start")
-    found = (ros2("topic", "list") for _ in range(100))
-    assert any("/joint_states" in text.split() for text in found)
+    found = (ros2("node", "info", "/sim_node", status=None) for _ in range(100))
+    assert any({"/joint_states:", "/sim_node/step:"} <= set(text.split()) for text in found)
 
 
 @pytest.fixture
