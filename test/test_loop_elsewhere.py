@@ -8,6 +8,7 @@ import pytest
 from loop_logs import pieces, record
 
 from puma_sim_core.effects import KINDS, parse_effect
+from puma_sim_core.identify import explain
 from puma_sim_core.identify.fitting.dispersion import blocks
 from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
 from puma_sim_core.identify.screening.causal import CausalScreen
@@ -77,3 +78,22 @@ def test_one_push_stands_out_and_one_of_many_does_not():
     bumps = [(float(at), float(rng.choice([-6.0, 6.0]))) for at in np.arange(0.5, 7.8, 0.8) if abs(at - 2.6) > 0.3]
     gain, elsewhere, level = beside(*bumps)
     assert np.median(elsewhere) > 100.0 and level > gain
+
+
+@pytest.mark.long
+def test_a_push_by_hand_is_named_where_it_came_and_beside_the_friction():
+    """Its shape is a bell and not the effect's own: place and momentum are what is asked for."""
+    at, sigma, greatest = 6.2, 0.09, 0.8
+
+    def unlogged(t, _):
+        return np.array([greatest * np.exp(-0.5 * ((t - at) / sigma) ** 2)])
+
+    friction = parse_effect("coulomb_friction:joint=1,torque=0.15")
+    log = record(PENDULUM, PENDULUM.plant(effects=(friction,)), 0.1, 1e-4, unlogged=unlogged)
+    found = {(effect.name, effect.joint): effect for effect in explain(log, plant="dfki_pendulum").effects}
+    assert set(found) == {("coulomb_friction", 1), ("impulse", 1)}
+    values = {name: p.value for name, p in found["impulse", 1].parameters.items()}
+    assert values["time"] == pytest.approx(at, abs=0.03)
+    # half of the peak times the width, and the bell's
+    momentum = 0.5 * values["torque"] * values["width"]
+    assert momentum == pytest.approx(np.sqrt(2.0 * np.pi) * sigma * greatest, rel=0.1)

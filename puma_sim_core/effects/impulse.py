@@ -1,5 +1,5 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
-"""An impact of short duration."""
+"""An impact or a push of short duration."""
 
 from math import pi, sin
 
@@ -10,8 +10,9 @@ from puma_sim_core.effects.screening import Candidate, Screening, Signals
 from puma_sim_core.effects.shared.columns import bounded, candidate, on_joint, sized, stretches
 from puma_sim_core.jit import Table, inlined
 
-#: whole widths of an impact [s]
-_WIDTHS = (0.02, 0.03, 0.045, 0.065, 0.1, 0.15)
+#: whole widths [s]: an impact is over in hundredths of a second, a push as a hand gives it lasts up to half a second,
+#: as the pulses do that a double pendulum was given (docs/rigs.md)
+_WIDTHS = (0.02, 0.03, 0.045, 0.065, 0.1, 0.15, 0.22, 0.33, 0.5)
 #: greatest torque [N.m] that the law takes: what comes from outside is bounded by nothing of the machine
 _GREATEST = 1e4
 #: best places that are kept of each width
@@ -108,7 +109,7 @@ EFFECT = Kind(
     parameters=(
         Parameter("torque", "N.m", -_GREATEST, _GREATEST, "p, peak, positive in +q", SIZE, (5.0, 300.0)),
         Parameter("time", "s", -1e6, 1e9, "t0, middle of the pulse", PLACE, step="width"),
-        Parameter("width", "s", 1e-4, 100.0, "w, whole width", PLACE, (0.02, 0.15), neutral=1.0, logarithmic=True),
+        Parameter("width", "s", 1e-4, 100.0, "w, whole width", PLACE, (0.02, 0.25), neutral=1.0, logarithmic=True),
     ),
     laws=(Law(Point.PUSH, pulse_torque),),
     repeatable=False,

@@ -57,7 +57,12 @@ def dispersion(predictor: Predictor, jacobian: Floats, errors: Floats, priors: i
 
 
 def clearly_better(predictor: Predictor, better: Fitted, other: Fitted) -> bool:
-    """Whether one model fits better than another beyond what chance, or what the better one misfits, may do.
+    """Whether one model fits better than another beyond what chance, or what the better one misfits, may do."""
+    return errors_between(predictor, better, other) > SELECTION.standard_errors
+
+
+def errors_between(predictor: Predictor, better: Fitted, other: Fitted) -> float:
+    """By how many standard errors one model fits better than another, by chance and by what the better one misfits.
 
     The priors of the parameters count as rows of their own: a model may fit as well by parameters far from their start.
     """
@@ -69,15 +74,16 @@ def clearly_better(predictor: Predictor, better: Fitted, other: Fitted) -> bool:
     scores = np.bincount(blocks(predictor), (apart * left).sum(axis=1))
     squares = float((apart**2).sum() + moved @ moved)
     variance = max(squares, float(scores @ scores + ((moved * strained) ** 2).sum()))
-    return bool(other.objective - better.objective > SELECTION.standard_errors * np.sqrt(variance))
+    return float((other.objective - better.objective) / np.sqrt(variance)) if variance > 0.0 else 0.0
 
 
-def blocks(predictor: Predictor) -> Ints:
-    """(N,) number of the block that each innovation is in; none reaches from one log into the next."""
+def blocks(predictor: Predictor, length: float = FITTING.dispersion_block) -> Ints:
+    """(N,) number of the block, of about a length [s], that each innovation is in; none reaches from one log into the
+    next."""
     found, first = [], 0
     for stretch in predictor.stretches:
         time = stretch.time[1:] - stretch.time[0]
-        count = max(1, round(float(time[-1]) / FITTING.dispersion_block))
+        count = max(1, round(float(time[-1]) / length))
         found.append(first + np.minimum((count * time / time[-1]).astype(int), count - 1))
         first += count
     return np.concatenate(found)

@@ -11,7 +11,7 @@ import numpy as np
 from puma_sim_core.effects import Effect, Kind
 from puma_sim_core.effects.base import Parameter, Role
 from puma_sim_core.errors import ParameterError
-from puma_sim_core.identify.fitting.dispersion import clearly_better, dispersion
+from puma_sim_core.identify.fitting.dispersion import clearly_better, dispersion, errors_between
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit, Slopes, bounded
 from puma_sim_core.identify.fitting.trials import Trial, Trials
 from puma_sim_core.identify.screening.causal import CausalScreen
@@ -202,13 +202,15 @@ class Elimination:
         ]
 
     def _asked_for(self, state: SelectionState, chosen: Chosen, found: _Compared) -> bool:
-        """Whether the log asks for an effect beside the others: by what all of them misfit; for the only dry friction
-        of a joint, which all but every drive has, by what they misfit in the direction of the model without it."""
-        gain = found.gain - chosen.occam
+        """Whether the log asks for an effect beside the others: by what all of them misfit, and by what they misfit in
+        the direction of the model without it; for the only dry friction of a joint, which all but every drive has, by
+        the latter."""
         rubbing = [key for key in state.keys if self.library[key[0]].dry and key[1] == chosen.key[1]]
-        if rubbing == [chosen.key]:
-            return gain >= SELECTION.least_gain and clearly_better(self.predictor, found.full, found.bare)
-        return gain >= SELECTION.least_gain * found.dispersion
+        only = rubbing == [chosen.key]
+        least, errors = (1.0, SELECTION.standard_errors) if only else (found.dispersion, SELECTION.name_errors)
+        if found.gain - chosen.occam < SELECTION.least_gain * least:
+            return False
+        return errors_between(self.predictor, found.full, found.bare) > errors
 
     def _contains(self, trial: Trial, name: str) -> bool:
         """Whether the effect of a trial contains another one."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from puma_sim_core.effects import KINDS, Kind
 from puma_sim_core.identify.arrays import Floats
-from puma_sim_core.identify.fitting.dispersion import blocks, clearly_better, dispersion
+from puma_sim_core.identify.fitting.dispersion import blocks, clearly_better, dispersion, errors_between
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
 from puma_sim_core.identify.fitting.trials import Trial, Trials, unseen
 from puma_sim_core.identify.memory import release
@@ -175,7 +175,7 @@ class Selection:
         stage = Stage(trials, threshold, state.model, None, doubted, unclear)
         if accepted is not None and best is not None:
             # one that does not lower the error on the validation set is replaced by the next that does
-            passing = [t for t in trials if _passes(t, stage, best)]
+            passing = [t for t in trials if _passes(t, stage) and self._in_place(t, best)]
             if accepted not in passing:
                 accepted = self._parsimonious(passing[0], passing) if passing else None
             if accepted is not None:
@@ -269,7 +269,8 @@ class Selection:
         if not placed or not trial.possible or trial.gain <= SELECTION.least_gain:
             return trial
         assert joint is not None
-        needed = level_elsewhere(self._screen(state, trial.model), kind, joint, blocks(self.predictor))
+        pieces = blocks(self.predictor, SELECTION.elsewhere_piece)
+        needed = level_elsewhere(self._screen(state, trial.model), kind, joint, pieces)
         if trial.gain > needed:
             return trial
         return replace(trial, problem=f"in some other part of the log one would have as much ({needed:.3g} nat)")
@@ -295,9 +296,12 @@ class Selection:
         return Threshold(reached(True), reached(False))
 
     def _beside(self, state: SelectionState, trial: Trial) -> bool:
-        """Whether the first dry friction of a joint is clearly better than the model with effects, without it."""
-        needs = bool(state.chosen) and self.library[trial.name].dry and trial.joint not in state.rubbing
-        return not needs or clearly_better(self.predictor, trial.model, state.model)
+        """Whether a trial is better than the model without it by what a name needs of standard errors."""
+        rubs = self.library[trial.name].dry and trial.joint not in state.rubbing
+        if rubs and not state.chosen:
+            return True
+        least = SELECTION.standard_errors if rubs else SELECTION.name_errors
+        return errors_between(self.predictor, trial.model, state.model) > least
 
     def _common(self, accepted: Trial, passing: Sequence[Trial]) -> Trial:
         """Dry friction of the same joint, if what was accepted is not clearly better: all but every drive has it.
@@ -308,6 +312,11 @@ class Selection:
         dry = [t for t in passing if self.library[t.name].dry and t.joint == accepted.joint]
         alike = [t for t in dry if not clearly_better(self.predictor, accepted.model, t.model)]
         return self._parsimonious(max(alike, key=lambda t: t.gain), alike) if alike else accepted
+
+    def _in_place(self, trial: Trial, best: Trial) -> bool:
+        """Whether a trial may take the place of the best of a stage: what that contains, or gains nearly as much."""
+        part = trial.joint == best.joint and trial.name in self.library[best.name].contains
+        return part or trial.gain > SELECTION.replacement_share * best.gain
 
     def _parsimonious(self, best: Trial, trials: Iterable[Trial]) -> Trial:
         """The best trial, or the next on its joint that contains the same, if it is clearly better than all that it
@@ -356,13 +365,12 @@ def _through(passes: Iterable[Pass], state: SelectionState) -> SelectionState:
     return state
 
 
-def _passes(trial: Trial, stage: Stage, best: Trial) -> bool:
-    """Whether a trial may be accepted in a stage whose best trial is `best`."""
+def _passes(trial: Trial, stage: Stage) -> bool:
+    """Whether a trial of a stage may be accepted."""
     return (
         trial.problem is None
         and trial.key not in stage.unclear
         and trial.validation_gain > 0.0
         and trial.gain > stage.needed(trial)
-        and trial.gain > SELECTION.replacement_share * best.gain
         and (not KINDS[trial.name].two_masses or trial.gain > SELECTION.least_two_mass)
     )

@@ -29,9 +29,13 @@ class Threshold:
         """The same for all."""
         return cls(gain, gain)
 
+    def rubs(self, key: Key) -> bool:
+        """Whether an effect is the first dry friction of its joint."""
+        return KINDS[key[0]].dry and key[1] not in self.rubbing
+
     def of(self, key: Key) -> float:
         """That of an effect."""
-        return self.dry if KINDS[key[0]].dry and key[1] not in self.rubbing else self.other
+        return self.dry if self.rubs(key) else self.other
 
     def least(self, other: Threshold) -> Threshold:
         """The lesser of two."""
@@ -43,8 +47,8 @@ class Stage:
     """A completed stage of the selection.
 
     trials : best first; threshold : of a name; base : the model that gains are over; accepted : the trial that the log
-    asks for; doubted : the validation refused the noise that the model leaves; unclear : dry friction that is not
-    clearly better than the model that it would be added to.
+    asks for; doubted : the validation refused the noise that the model leaves; unclear : effects that are not
+    better than the model that they would be added to by what a name needs of standard errors.
     """
 
     trials: tuple[Trial, ...]
@@ -55,9 +59,10 @@ class Stage:
     unclear: frozenset[Key] = frozenset()
 
     def needed(self, trial: Trial) -> float:
-        """The gain [nat] that a trial must have more than: more where it does not act on the validation set."""
+        """The gain [nat] that a trial must have more than: more where the validation set says nothing of it, but for
+        the first dry friction of a joint, which acts wherever the joint moves."""
         asked = self.threshold.of(trial.key)
-        return max(asked, SELECTION.least_untried) if trial.untried else asked
+        return max(asked, SELECTION.least_untried) if trial.untried and not self.threshold.rubs(trial.key) else asked
 
 
 @dataclass(frozen=True)

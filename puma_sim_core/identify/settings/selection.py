@@ -2,6 +2,7 @@
 """Stages 5 and 7: which effects are named, validation (`identify.selection`)."""
 
 from dataclasses import dataclass
+from math import sqrt
 
 
 @dataclass(frozen=True)
@@ -11,11 +12,14 @@ class Selection:
     # --- what a name needs
     #: of a name [nat]: of 450 synthetic records with nothing missing none had 13 to 20 nat (commit 7bc1047)
     least_gain: float = 16.0
+    #: standard errors from the model without it, in the one direction in which they differ: those of 16 nat in a true
+    #: model, whose gain is half the square of its standard error
+    name_errors: float = sqrt(8.0)
     least_untried: float = 25.0  #: of a name [nat] without action on the validation set [calibrated]
     #: least gain [nat] of a name that gives a joint two masses, since no placebo goes through the model: of 510 names
     #: of synthetic records wrong ones of these had 17 to 35 nat, right ones 165 and more but for one (23b9b58)
     least_two_mass: float = 40.0
-    most_effects: int = 4  #: most effects that are named
+    most_effects: int = 6  #: most effects that are named: two of each of three joints
     placebos: int = 24  #: surrogates of a log, of curves and of the link's side too
     #: probability with which a surrogate may exceed what a gain must: 2 % of alarms that may be raised where nothing is
     #: missing, one half for a name and one for a remainder (`surrogates.level`)
@@ -23,6 +27,8 @@ class Selection:
     #: share of the surrogates that the tail is fitted to: of maxima of 1 to 300 gains with 1 to 8 degrees of freedom
     #: 0.4 to 1.2 % then exceed the level of 1 % (simulated; test_loop_surrogates)
     surrogate_tail: float = 1.0 / 3.0
+    #: of the log [s], which a push is compared with: three widths of the longest, which its place is searched with
+    elsewhere_piece: float = 1.5
     placebo_shifts: tuple[float, float] = (0.06, 0.94)  #: as shares of the record: far from no shift at all
     replacement_share: float = 0.4  #: of the best gain, where the best fails on the validation set [calibrated]
 
