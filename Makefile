@@ -143,11 +143,13 @@ $(VENV)/.compiled: $(INSTALLED)
 
 .PHONY: $(VENV)/.compiled
 
+# Matrices in the tests are small: beside another process, two threads of linear algebra wait for each other most of the
+# time.
 define pytest
 	@if [ -d build/js/node_modules ]; then \
 	    export PUMA_SIM_NODE_MODULES="$${PUMA_SIM_NODE_MODULES:-$(CURDIR)/build/js/node_modules}"; \
 	fi; \
-	$(BIN)/python -m pytest -q -rs -n $(WORKERS) --dist loadgroup --timeout=$(TEST_TIMEOUT) $(1) $(PYTEST_ARGS)
+	OPENBLAS_NUM_THREADS=$${OPENBLAS_NUM_THREADS:-1} $(BIN)/python -m pytest -q -rs -n $(WORKERS) --dist loadgroup --timeout=$(TEST_TIMEOUT) $(1) $(PYTEST_ARGS)
 endef
 
 test: $(VENV)/.compiled
