@@ -155,8 +155,9 @@ def test_a_profile_is_the_interval_of_a_quadratic_and_wider_where_the_likelihood
     found = Fitted(found.point, found.errors, found.objective, found.names, jacobian)
     spread, wider = (each[0] for each in intervals.deviations(fit, found))
     for sign in (-1.0, 1.0):
-        reach = intervals._profile(fit, found, 0, sign * spread, wider)
-        assert reach == pytest.approx(1.96 * spread, rel=0.15)
+        steps = [sign * share * 1.96 * spread for share in FITTING.profile_shares]
+        reach, fallen = intervals._profile(found, 0, steps, wider, intervals._fitted_on(fit, found, 0))
+        assert fallen and reach == pytest.approx(1.96 * spread, rel=0.15)
     _value, low, high = intervals.intervals(fit, found)[0, "voltage"]
     assert low < 0.0 < high, "nothing was there"
 

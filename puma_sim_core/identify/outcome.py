@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 
 from puma_sim_core.effects import Effect
+from puma_sim_core.effects.base import Role
 from puma_sim_core.effects.relations import EXACT_TIES
 from puma_sim_core.identify import result
 from puma_sim_core.identify.arrays import Floats
@@ -17,7 +18,7 @@ from puma_sim_core.identify.prepare import Prepared
 from puma_sim_core.identify.residuals.shape import Curve, describe
 from puma_sim_core.identify.residuals.unnamed import remainder
 from puma_sim_core.identify.selection.state import SelectionState
-from puma_sim_core.identify.settings import RESIDUALS
+from puma_sim_core.identify.settings import FITTING, RESIDUALS
 from puma_sim_core.identify.standing import Standing, clearly, ranking, ruled_out, standings, ties
 from puma_sim_core.pages.text import effect_name, scale
 from puma_sim_core.plant.mechanism import Mechanism
@@ -108,17 +109,30 @@ def beyond_noise(errors: result.StageErrors) -> tuple[int, float] | None:
 
 def _named(found: Findings, rows: tuple[Standing, ...]) -> tuple[result.NamedEffect, ...]:
     """The effects of the model, the greatest evidence first."""
-    s, named = found.state, []
+    s, named, mechanism = found.state, [], found.prepared.problem.mechanism
     for number, (key, chosen) in enumerate(zip(s.keys, s.chosen)):
         effect = s.model.point.effects[number]
-        units = {p.name: found.prepared.problem.mechanism.unit(p.unit) for p in effect.kind.parameters}
+        units = {p.name: mechanism.unit(p.unit) for p in effect.kind.parameters}
         parameters = {}
         for name, value in effect.values.items():
             if (number, name) in found.intervals or (np.isfinite(value) and _asked(effect, name)):
                 middle, low, high = map(float, found.intervals.get((number, name), (value, value, value)))
+                if _beyond_machines(mechanism, effect, name, high):
+                    high = np.inf
                 parameters[name] = result.Interval(middle, low, high, units[name])
         named.append(result.NamedEffect(*key, parameters, float(chosen.gain), ties(rows, key), ruled_out(rows, key)))
     return tuple(sorted(named, key=lambda each: -each.evidence))
+
+
+def _beyond_machines(m: Mechanism, effect: Effect, name: str, high: float) -> bool:
+    """Whether the end of a size's interval is more than any machine has, as of friction that holds a joint."""
+    spec, screening = effect.kind.parameter(name), effect.kind.screening
+    from_outside = screening is not None and screening.placed
+    most = next((most for own, _, most in effect.kind.plausible if own == name), None)
+    if most is None or spec.role is not Role.SIZE or spec.inverse or from_outside or effect.joint is None:
+        return False
+    scale = m.effect_scale(spec.unit, effect.joint - 1)
+    return scale is not None and high > FITTING.above_plausible * most * scale
 
 
 def _asked(effect: Effect, name: str) -> bool:
@@ -146,7 +160,7 @@ def _sentence(
         return f"Something is missing on joint {curve.joint} that no effect of the library explains: {what}{also}."
     parts = []
     for e in names:
-        sizes = ", ".join(f"{n.replace('_', ' ')} {_size(i.value, i.unit)}" for n, i in e.parameters.items())
+        sizes = ", ".join(f"{n.replace('_', ' ')} {_estimate(i)}" for n, i in e.parameters.items())
         where = "the whole arm" if e.joint is None else f"joint {e.joint}"
         parts.append(f"{effect_name(e.name, lower=True)} on {where} ({sizes})")
     joints = [None] if any(e.joint is None for e in names) else sorted({e.joint for e in names if e.joint})
@@ -155,6 +169,13 @@ def _sentence(
     if verdict == result.NAMED_WITH_REMAINDER and curve is not None:
         text += f"; beside that something on joint {curve.joint} over {curve.axis} is left that has no name"
     return f"{text}; {times}." if times else f"{text}."
+
+
+def _estimate(interval: result.Interval) -> str:
+    """An estimate, or its bound where it has but a lower one."""
+    if interval.at_least:
+        return f"at least {_size(interval.low, interval.unit)}"
+    return _size(interval.value, interval.unit)
 
 
 def _size(value: float, unit: str) -> str:

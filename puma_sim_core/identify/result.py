@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import isinf
 
 from puma_sim_core.identify.arrays import Floats
 
@@ -44,12 +45,18 @@ class Fault:
 
 @dataclass(frozen=True)
 class Interval:
-    """An estimate with its 95 % confidence interval (low, high) and unit."""
+    """An estimate with its 95 % confidence interval (low, high) and unit. high is infinite where the log bounds it from
+    below alone: it fits as well with more than any machine has."""
 
     value: float
     low: float
     high: float
     unit: str
+
+    @property
+    def at_least(self) -> bool:
+        """Whether it is bounded from below alone."""
+        return isinf(self.high)
 
 
 @dataclass(frozen=True)

@@ -3,16 +3,24 @@
 
 Innovations of an inexact model are not independent: the sandwich takes the scores' own covariance (Newey and West 1987,
 Econometrica 55:703). No slope shows limits and gaps: each parameter is also moved to both sides, all others fitted
-again, until the likelihood has fallen by as much. The wider counts.
+again, until the likelihood has fallen by as much. The wider counts; but where the sandwich would reach past the size at
+which the effect vanishes, the profile alone says how far it is to there: a tangent knows of no such end.
 """
+
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from puma_sim_core.effects import Effect, Parameter
+from puma_sim_core.effects.base import Role
+from puma_sim_core.errors import ParameterError
 from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit, Slopes, with_value
 from puma_sim_core.identify.parallel import parallel_map
 from puma_sim_core.identify.settings import FITTING
+
+#: fits a model on with one parameter held; None where it cannot be run
+Refit = Callable[[Point], Fitted | None]
 
 
 def deviations(fit: PredictionFit, fitted: Fitted) -> tuple[Floats, Floats]:
@@ -67,43 +75,73 @@ def _end(fit: PredictionFit, fitted: Fitted, k: int, spread: float, wider: float
     effect, spec = _free(fitted, k)
     sign = float(np.copysign(1.0, spread))
     value, blur = effect.values[spec.name], _blur(fit, effect, spec.name)
-    reach = max(FITTING.normal_quantile * abs(spread), _profile(fit, fitted, k, spread, wider))
+    reach = FITTING.normal_quantile * abs(spread)
+    vanishing, fallen = _vanishing(effect, spec, sign), False
+    if vanishing < reach:
+        steps = [sign * share * vanishing for share in FITTING.vanishing_shares]
+        inside, fallen = _profile(fitted, k, steps, wider, _fitted_anew(fit, fitted, k))
+    if fallen:
+        reach = inside
+    else:
+        steps = [sign * share * reach for share in FITTING.profile_shares]
+        reach = max(reach, _profile(fitted, k, steps, wider, _fitted_on(fit, fitted, k))[0])
     end = value + sign * float(np.hypot(reach, FITTING.normal_quantile * blur))
     return float(max(end, min(spec.low, value)) if sign < 0.0 else min(end, max(spec.high, value)))
 
 
-def _profile(fit: PredictionFit, fitted: Fitted, k: int, spread: float, wider: float) -> float:
-    """How far a parameter can be moved to one side until the likelihood has fallen enough.
+def _vanishing(effect: Effect, spec: Parameter, sign: float) -> float:
+    """How far to one side of its value a size makes the effect vanish; infinite where it does not."""
+    away = sign * (spec.neutral - effect.values[spec.name])
+    return away if spec.role is Role.SIZE and not spec.inverse and away > 0.0 else np.inf
 
-    Each fit goes on from the one before, with new derivatives by the other parameters of the effect: of an angle and an
-    amplitude, or of a gap and its contact, the likelihood has a curved ridge.
-    """
+
+def _profile(fitted: Fitted, k: int, steps: Sequence[float], wider: float, refit: Refit) -> tuple[float, bool]:
+    """How far a parameter can be moved, by steps from its value, until the likelihood has fallen enough, and whether it
+    has. Each fit goes on from the one before."""
     number, _ = fitted.names[k]
     effect, spec = _free(fitted, k)
-    first = fitted.slopes.shape[1] - len(fitted.names)
-    own = [n for n, pair in enumerate(fitted.names) if pair[0] == number]
-    jacobian = Slopes.of(np.delete(fitted.slopes, [first + n for n in own], axis=1))
-    free = tuple(fitted.names[n] for n in own if n != k)
-    frozen = tuple(pair for pair in fitted.names if pair[0] != number)
     enough, before, point = 0.5 * FITTING.normal_quantile**2 * wider, (0.0, 0.0), fitted.point
-    for share in FITTING.profile_shares:
-        reach = share * FITTING.normal_quantile * abs(spread)
-        value = effect.values[spec.name] + float(np.copysign(reach, spread))
+    for step in steps:
+        reach, value = abs(step), effect.values[spec.name] + step
         if not spec.low <= value <= spec.high:
             break
         effects = with_value(point.effects, number, spec.name, value)
         if effects is None:
             break
-        at = Point(point.theta, effects)
-        moved = fit.run(at, free, jacobian=jacobian, frozen=frozen, rounds=FITTING.profile_rounds)
+        moved = refit(Point(point.theta, effects))
         fall = np.inf if moved is None else moved.objective - fitted.objective
         if moved is None or fall >= enough:
             # between two points the likelihood falls with the square
             low, high = np.sqrt(max(before[1], 0.0)), np.sqrt(min(fall, FITTING.greatest_fall * enough))
             part = (np.sqrt(enough) - low) / max(high - low, 1e-12)
-            return float(before[0] + min(max(part, 0.0), 1.0) * (reach - before[0]))
+            return float(before[0] + min(max(part, 0.0), 1.0) * (reach - before[0])), True
         before, point = (reach, fall), moved.point
-    return before[0]
+    return before[0], False
+
+
+def _fitted_on(fit: PredictionFit, fitted: Fitted, k: int) -> Refit:
+    """Fits all but one parameter with the derivatives of the model, and new ones by the other parameters of the effect:
+    of an angle and an amplitude, or of a gap and its contact, the likelihood has a curved ridge."""
+    number, _ = fitted.names[k]
+    first = fitted.slopes.shape[1] - len(fitted.names)
+    own = [n for n, pair in enumerate(fitted.names) if pair[0] == number]
+    jacobian = Slopes.of(np.delete(fitted.slopes, [first + n for n in own], axis=1))
+    free = tuple(fitted.names[n] for n in own if n != k)
+    frozen = tuple(pair for pair in fitted.names if pair[0] != number)
+    return lambda at: fit.run(at, free, jacobian=jacobian, frozen=frozen, rounds=FITTING.profile_rounds)
+
+
+def _fitted_anew(fit: PredictionFit, fitted: Fitted, k: int) -> Refit:
+    """Fits all but one parameter with derivatives of its own: a joint that its friction holds has none."""
+    others = tuple(pair for n, pair in enumerate(fitted.names) if n != k)
+
+    def refit(at: Point) -> Fitted | None:
+        try:
+            return fit.to_end(at, others)[0]
+        except ParameterError:
+            return None
+
+    return refit
 
 
 def _blur(fit: PredictionFit, effect: Effect, name: str) -> float:
