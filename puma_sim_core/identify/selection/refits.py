@@ -12,6 +12,7 @@ import numpy as np
 from puma_sim_core.effects import Effect, Kind
 from puma_sim_core.effects.base import Role
 from puma_sim_core.errors import ParameterError
+from puma_sim_core.identify.fitting.dispersion import errors_between
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit, bounded
 from puma_sim_core.identify.fitting.trials import Trial, Trials
 from puma_sim_core.identify.parallel import parallel_map
@@ -167,14 +168,16 @@ class Refits:
 
     def polished(self, state: SelectionState) -> SelectionState:
         """Trials near the best are fitted to their end, with all derivatives about themselves; the best alone only
-        where the validation set speaks against it."""
+        where the validation set speaks against it, or what it misfits in its own direction: a fit that has not ended
+        misfits there."""
         possible = [t for t in state.trials if t.explains]
         top = max((t.gain for t in possible), default=0.0)
         if top < SELECTION.worth_polishing:
             return state
         near = sorted((t for t in possible if t.gain > SELECTION.near_best * top), key=lambda t: -t.gain)
         near = near[: SELECTION.most_polished]
-        if len(near) < 2 and near[0].validation_gain > 0.0:
+        ended = errors_between(self.predictor, near[0].model, state.model) > SELECTION.name_errors
+        if len(near) < 2 and near[0].validation_gain > 0.0 and ended:
             return state
         fit = PredictionFit(self.predictor, state.noise)
         first = len(state.model.names)
