@@ -10,12 +10,13 @@ from scipy.stats import multivariate_normal
 
 from puma_sim_core.identify.data import filters
 from puma_sim_core.identify.data.log import Log
-from puma_sim_core.identify.data.sampling import sample
+from puma_sim_core.identify.data.sampling import resting, sample
 from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
 from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.noise import residual as noise
 from puma_sim_core.identify.noise.weighting import Weighting
 from puma_sim_core.identify.screening.evidence import log_gain
+from puma_sim_core.identify.screening.problem import Problem
 from puma_sim_core.identify.settings import FITTING
 from puma_sim_core.plant.mechanism_file import load_mechanism
 from puma_sim_core.simulation.simulator import Simulator
@@ -91,6 +92,18 @@ def test_uneven_logs_and_even_ones_give_the_same_motion():
         assert np.abs(s.velocity[:, 0] - 2.0 * np.cos(2.0 * s.time))[inside].max() < bound
         # the mean of a held voltage lags by half a row, which the grid makes good
         assert np.abs(s.voltage[:, 0] - np.cos(s.time))[inside].max() < 6e-3
+
+
+@pytest.mark.parametrize("later", [0.0, 1000.0, 1.7e9])
+def test_a_drive_that_is_always_on_is_never_switched_whatever_the_clock_says(true_log, arm, later):
+    # every tenth row, off its time by up to a tenth of the step: the mean of `enable` is an integral with rounding
+    rows = slice(None, None, 10)
+    time = true_log.time[rows] + np.random.default_rng(8).uniform(0.0, 1e-3, len(true_log.time[rows]))
+    log = Log("uneven", time + later, true_log.voltage[rows], true_log.position[rows])
+    s = sample([log])
+    assert (s.enable == 1.0).all()
+    rests = resting(s.velocity, s.velocity_noise, s.step, s.cutoffs[1], s.stretches)
+    np.testing.assert_array_equal(Problem(s, arm).usable, ~rests[s.kept()])
 
 
 def test_sources_of_noise_are_told_apart_and_a_line_is_not_taken_for_noise(true_log, arm):

@@ -179,10 +179,14 @@ def on_grid(log: Log, step: float) -> Grid:
         voltage, enable = (0.5 * (a[1:] + a[:-1]) for a in steps)
         setpoint = None if log.setpoint is None else log.setpoint[1:]
         return Grid(log.time[1:], voltage, enable, log.position[1:], setpoint)
-    time = log.time[0] + step * np.arange(1, int((log.time[-1] - log.time[0]) / step) - 1)
-    voltage, enable = (_step_mean(log.time, a, time, step) for a in steps)
-    setpoint = None if log.setpoint is None else _interpolated(time, log.time, log.setpoint)
-    return Grid(time, voltage, enable, Akima1DInterpolator(log.time, log.position, axis=0)(time), setpoint)
+    # from the first row on, so that a clock that began long before costs no digits
+    begin, since = log.time[0], log.time - log.time[0]
+    time = step * np.arange(1, int(since[-1] / step) - 1)
+    voltage, enable = (_step_mean(since, a, time, step) for a in steps)
+    # a drive whose mean is on but for the rounding of an integral was not switched
+    enable = np.round(enable, DATA.enable_digits)
+    setpoint = None if log.setpoint is None else _interpolated(time, since, log.setpoint)
+    return Grid(begin + time, voltage, enable, Akima1DInterpolator(since, log.position, axis=0)(time), setpoint)
 
 
 def _interpolated(at: Floats, time: Floats, values: Floats) -> Floats:
