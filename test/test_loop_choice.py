@@ -59,8 +59,8 @@ def confirmed(errors, first, second):
     """Effects that stay, and those retracted, by errors {effects: error in cross-validation}."""
     state = state_of([Stage((t,), Threshold.alike(8.0), None, t) for t in (first, second)], first, second)
 
-    def lower(model, than):
-        assert than.fitted is state.retuned
+    def lower(model, than, noise_holds):
+        assert than.fitted is state.retuned and noise_holds()
         return errors[frozenset(model.fitted.point.effects)] < errors[frozenset()]
 
     found = retracted(Chooser(), state, SimpleNamespace(better=lower))

@@ -81,6 +81,23 @@ def test_windows_decide_beyond_two_standard_errors_and_else_the_density(monkeypa
     assert folds.better(one, other) is better
 
 
+def test_a_noise_that_open_loop_errors_refute_decides_nothing(monkeypatch):
+    folds, asked = CrossValidation([None] * 4), []
+    windows = {"same": [10.0] * 4, "more": [13.0, 9.0, 9.0, 10.0], "less": [9.0, 9.5, 9.0, 10.0]}
+    monkeypatch.setattr(folds, "_points", lambda model: windows[model.name])
+    monkeypatch.setattr(folds, "_window_square", lambda fold, point: point)
+    monkeypatch.setattr(folds, "_density", lambda model, points: 5.0 if model.name == "more" else 0.0)
+
+    def better(name: str, holds: bool) -> bool:
+        asked.clear()
+        models = (SimpleNamespace(name=each) for each in (name, "same"))
+        return folds.better(*models, lambda: bool(asked.append(name)) or holds)
+
+    assert better("more", True) and asked == ["more"]
+    assert not better("more", False) and asked == ["more"]
+    assert better("less", False) and not asked  # the windows tell: nobody asks for the noise
+
+
 def test_each_fold_is_predicted_by_parameters_fitted_to_the_others():
     folds, fitted = fits("coulomb_friction:joint=1,torque=0.02")
     model = fitted("coulomb_friction:joint=1,torque=0.02", "torque")

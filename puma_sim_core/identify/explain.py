@@ -26,7 +26,7 @@ from puma_sim_core.identify.fitting.trials import Trials
 from puma_sim_core.identify.link_side import outcome as link_outcome
 from puma_sim_core.identify.link_side.compare import compare as compare_sides
 from puma_sim_core.identify.memory import release
-from puma_sim_core.identify.outcome import Findings, compose, fault_sentence
+from puma_sim_core.identify.outcome import Findings, beyond_noise, compose, fault_sentence
 from puma_sim_core.identify.prepare import Prepared, prepare, silent
 from puma_sim_core.identify.report.json import report_mapping
 from puma_sim_core.identify.residuals.shape import Curve
@@ -36,14 +36,16 @@ from puma_sim_core.identify.screening.causal import CausalScreen
 from puma_sim_core.identify.screening.detect import detectable
 from puma_sim_core.identify.screening.hypotheses import candidates, hypotheses
 from puma_sim_core.identify.screening.short_list import ShortList
-from puma_sim_core.identify.selection.cross_validation import CrossValidation
+from puma_sim_core.identify.selection.cross_validation import CrossValidation, WeightedModel
 from puma_sim_core.identify.selection.selection import Selection
 from puma_sim_core.identify.selection.state import SelectionState
+from puma_sim_core.identify.selection.validate import NoisePair
 from puma_sim_core.identify.settings import CHECKS
 from puma_sim_core.identify.standing import NAMED, TIED, clearly, standings
 from puma_sim_core.jit import is_compiled
 from puma_sim_core.plant.mechanism import Mechanism
 from puma_sim_core.plant.mechanism_file import load_mechanism
+from puma_sim_core.plant.plant import Plant
 
 _NOT_HELD_OUT = "Held-out logs are not read where the two sides of transmissions are compared: blocks of the logs are."
 #: paths of CSV files or bags, or logs; one or several
@@ -247,7 +249,13 @@ class Stages:
     def validate(self, state: SelectionState) -> SelectionState:
         """The selection without the effects, weakest first, that do not predict better in cross-validation."""
         self.progress("validating", 0.86)
-        return retracted(self.selection, state, self.folds)
+        return retracted(self.selection, state, self.folds, self._noise_holds)
+
+    def _noise_holds(self, state: SelectionState) -> bool:
+        """Whether the errors in open loop are of the size that the noise makes."""
+        noise = self._noise(state.model.point.plant(self.mechanism))
+        table = self.folds.errors(self._models(state), self._floor(state), noise)["held_out"]
+        return beyond_noise(table.position_rms) is None
 
     def findings(self, state: SelectionState, source: Mapping[str, str | None]) -> Findings:
         """What the stages after the validation find. source : how `explain` was called."""
@@ -300,22 +308,31 @@ class Stages:
     def errors(self, state: SelectionState) -> tuple[dict[str, Floats], dict[str, Errors]]:
         """(N, J) voltages [V] that the nominal, the retuned and the augmented model lack, and the tables of errors."""
         self.progress("errors", 0.96)
-        p, start = self.predictor, Point(self.mechanism.start, ())
-        points = {"nominal": start, "retuned": state.weighted_retuned.fitted.point, "augmented": state.model.point}
+        models = self._models(state)
+        points = {name: m if isinstance(m, Point) else m.fitted.point for name, m in models.items()}
         plants = {name: point.plant(self.mechanism) for name, point in points.items()}
         residuals = {name: self._volts(point) for name, point in points.items()}
         floor = self._floor(state)
-        left = np.where(p.fit_rows, p.errors(plants["augmented"]), np.nan)
-        volts, sensed = p.noise_behind(np.nanvar(left, axis=0), self.problem.sampled.position_noise)
-        # what a remainder leaves in the innovations is no noise, nor is all that came before a name
-        noise = np.minimum(volts, p.expected), sensed
-        weighted = {"retuned": state.weighted_retuned, "augmented": state.weighted}
+        noise = self._noise(plants["augmented"])
         tables = {"fit": self.folds.folds[0].validation.errors(plants, residuals, floor, noise)}
-        tables |= self.folds.errors({"nominal": start, **weighted}, floor, noise)
+        tables |= self.folds.errors(models, floor, noise)
         if self.beside is not None:
             beside = CrossValidation.of(self.beside.problem, self.beside.predictor, self.prepared.validation)
-            tables["held_out_logs"] = beside.errors({"nominal": start, **weighted}, floor, noise)["held_out"]
+            tables["held_out_logs"] = beside.errors(models, floor, noise)["held_out"]
         return residuals, tables
+
+    def _models(self, state: SelectionState) -> dict[str, WeightedModel | Point]:
+        """The start values, the retuned model and that with the effects found."""
+        start = Point(self.mechanism.start, ())
+        return {"nominal": start, "retuned": state.weighted_retuned, "augmented": state.weighted}
+
+    def _noise(self, plant: Plant) -> NoisePair:
+        """Noise of a row's voltage and of a position, by the innovations of a model at the rows to fit."""
+        p = self.predictor
+        left = np.where(p.fit_rows, p.errors(plant), np.nan)
+        volts, sensed = p.noise_behind(np.nanvar(left, axis=0), self.problem.sampled.position_noise)
+        # what a remainder leaves in the innovations is no noise, nor is all that came before a name
+        return np.minimum(volts, p.expected), sensed
 
     def feedback_bias(self, state: SelectionState) -> FeedbackBias:
         """Whether feedback in the recording biases what was found."""
@@ -336,8 +353,16 @@ def _joint(doubt: Fault) -> int:
     return int(doubt.channel[-1])
 
 
-def retracted(selection: Selection, state: SelectionState, folds: CrossValidation) -> SelectionState:
-    """The selection without the effects, weakest first, that do not predict better in cross-validation."""
-    while state.chosen and not folds.better(state.weighted, state.weighted_retuned):
+def retracted(
+    selection: Selection,
+    state: SelectionState,
+    folds: CrossValidation,
+    noise_holds: Callable[[SelectionState], bool] = lambda _: True,
+) -> SelectionState:
+    """The selection without the effects, weakest first, that do not predict better in cross-validation.
+
+    noise_holds : whether errors in open loop are of the size that the noise of a state makes.
+    """
+    while state.chosen and not folds.better(state.weighted, state.weighted_retuned, partial(noise_holds, state)):
         state = selection.without(state, min(state.chosen, key=lambda chosen: chosen.gain).key)
     return state

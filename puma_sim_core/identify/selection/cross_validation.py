@@ -79,11 +79,14 @@ class CrossValidation:
         NaN without windows."""
         return self._windows(self._points(model))
 
-    def better(self, model: WeightedModel, than: WeightedModel) -> bool:
+    def better(self, model: WeightedModel, than: WeightedModel, noise_holds: Callable[[], bool] = lambda: True) -> bool:
         """Whether a model predicts the folds better than another, or there is nothing to measure it at.
 
         By the mean over the folds of the squared errors in windows. Where it is greater by less than two of its
         standard errors, by the log predictive density of the innovations. Both models have one weighting.
+
+        noise_holds : whether the noise may be what the density takes it for; it is asked where the density would
+        decide, and where it does not hold, the model that is worse in the windows is not better.
         """
         one, other = self._points(model), self._points(than)
         more = np.array([self._window_square(*pair) for pair in zip(self.folds, one)])
@@ -92,7 +95,7 @@ class CrossValidation:
         if not len(more):
             return True
         error = more.std(ddof=1) / np.sqrt(len(more)) if len(more) > 1 else 0.0
-        if more.mean() < 0.0 or more.mean() > SELECTION.standard_errors * error:
+        if more.mean() < 0.0 or more.mean() > SELECTION.standard_errors * error or not noise_holds():
             return bool(more.mean() < 0.0)
         return self._density(model, one) > self._density(than, other)
 
