@@ -180,8 +180,8 @@ def on_grid(log: Log, step: float) -> Grid:
         setpoint = None if log.setpoint is None else log.setpoint[1:]
         return Grid(log.time[1:], voltage, enable, log.position[1:], setpoint)
     # from the first row on, so that a clock that began long before costs no digits
-    begin, since = log.time[0], log.time - log.time[0]
-    time = step * np.arange(1, int(since[-1] / step) - 1)
+    begin, since = float(log.time[0]), log.time - log.time[0]
+    time = step * np.arange(1.0, int(since[-1] / step) - 1)
     voltage, enable = (_step_mean(since, a, time, step) for a in steps)
     # a drive whose mean is on but for the rounding of an integral was not switched
     enable = np.round(enable, DATA.enable_digits)
