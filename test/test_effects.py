@@ -306,6 +306,21 @@ def test_values_outside_the_bounds_are_refused(kind):
                 placed(kind, {**inside, p.name: value})
 
 
+@pytest.mark.parametrize("factor", [1e-3, 1e3])
+def test_volts_and_amperes_may_be_in_another_unit(factor):
+    # a drive may have its command in millivolts: what machines have must then be legal a thousand times larger
+    sizes = [(kind, p) for kind in KINDS.values() for p in kind.parameters if p.unit in ("V", "A") and p.plausible]
+    assert {kind.name for kind, _ in sizes} >= {
+        "voltage_saturation",
+        "voltage_offset",
+        "voltage_dead_band",
+        "current_limit",
+    }
+    for kind, p in sizes:
+        for size in p.plausible:
+            assert p.low < factor * size < p.high, f"{kind.name}.{p.name}"
+
+
 @pytest.mark.parametrize("joint", [True, 1.0, "1", None, 0, 4])
 def test_a_joint_is_a_whole_number_from_one_to_three(joint):
     with pytest.raises(ParameterError, match="expected joint=1, 2 or 3"):

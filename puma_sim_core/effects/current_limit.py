@@ -49,7 +49,7 @@ EFFECT = Kind(
     acts=CURRENT,
     equation="di/dt = 0 where |i| = imax and the voltage would drive it further",
     sentence="The amplifier holds the motor's current at its limit, and the voltage drops.",
-    parameters=(Parameter("current", "A", 0.01, 1000.0, "imax", SIZE, (0.5, 20.0), neutral=inf, step=0.2),),
+    parameters=(Parameter("current", "A", 1e-6, 1e6, "imax", SIZE, (0.5, 20.0), neutral=inf, step=0.2),),
     laws=(Law(Point.CURRENT_RATE, limited_rate), Law(Point.CURRENT, clipped), Law(Point.CURRENT_BOUND, first)),
     screening=Screening(
         current_limit, "Fast reversals, so that back-EMF and voltage add up.", fast=True, unseen=(("current", 3.0),)

@@ -40,7 +40,7 @@ EFFECT = Kind(
     acts=VOLTAGE,
     equation="V = V - min(max(V, -d), d)",
     sentence="The amplifier lets nothing through until the voltage asked for exceeds a threshold.",
-    parameters=(Parameter("voltage", "V", 0.0, 100.0, "d, half width of the band", SIZE, (0.05, 1.5)),),
+    parameters=(Parameter("voltage", "V", 0.0, 1e6, "d, half width of the band", SIZE, (0.05, 1.5)),),
     laws=(Law(Point.TERMINAL, past_dead_band),),
     screening=Screening(dead_band, "Motion that gravity helps, with small voltages of both signs."),
     drawn_against=("voltage",),

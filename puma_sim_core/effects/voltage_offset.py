@@ -28,7 +28,7 @@ EFFECT = Kind(
     acts=VOLTAGE,
     equation="V = V - c",
     sentence="The amplifier gives a constant voltage too little, or too much.",
-    parameters=(Parameter("voltage", "V", -100.0, 100.0, "c, what is missing at the motor", SIZE, (0.02, 1.0)),),
+    parameters=(Parameter("voltage", "V", -1e6, 1e6, "c, what is missing at the motor", SIZE, (0.02, 1.0)),),
     laws=(Law(Point.TERMINAL, past_offset),),
     screening=Screening(offset, "Any motion; both directions and many poses tell it from gravity."),
     drawn_against=("time",),

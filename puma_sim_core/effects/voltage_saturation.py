@@ -26,7 +26,7 @@ EFFECT = Kind(
     acts=VOLTAGE,
     equation="V = min(max(V, -Vs), Vs)",
     sentence="The amplifier gives no more than its supply.",
-    parameters=(Parameter("voltage", "V", 0.1, 1000.0, "Vs", SIZE, (1.0, 60.0), neutral=inf, default=40.0, step=1.0),),
+    parameters=(Parameter("voltage", "V", 1e-6, 1e6, "Vs", SIZE, (1.0, 60.0), neutral=inf, default=40.0, step=1.0),),
     laws=(Law(Point.SUPPLY, clipped),),
     screening=Screening(
         saturation, "Voltages that reach the supply, as in fast motion of the joint.", unseen=(("voltage", 24.0),)
