@@ -13,7 +13,7 @@ import pytest
 
 from puma_sim_core.effects import KINDS, parse_effect
 from puma_sim_core.identify.checks.wrong_zero import wrong_zeros
-from puma_sim_core.identify.explain import retracted
+from puma_sim_core.identify.explain import Stages, retracted
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
 from puma_sim_core.identify.fitting.trials import Trial, Trials
 from puma_sim_core.identify.residuals.unnamed import Explained, curve_preferred
@@ -65,6 +65,13 @@ def confirmed(errors, first, second):
 
     found = retracted(Chooser(), state, SimpleNamespace(better=lower))
     return found.keys, found.retracted
+
+
+def test_a_push_is_not_judged_by_other_folds():
+    found = SimpleNamespace(keys=(("impulse", 1), ("impulse", 2)))
+    assert Stages._noise_holds(None, found)  # nothing of the log is asked for
+    with pytest.raises(AttributeError):
+        Stages._noise_holds(None, SimpleNamespace(keys=(("impulse", 1), ("joint_elasticity", 1))))
 
 
 def errors(none, a, b, both):

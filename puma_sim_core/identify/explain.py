@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from puma_sim_core import __version__
+from puma_sim_core.effects import KINDS
 from puma_sim_core.errors import RecordingError
 from puma_sim_core.executors import one_thread_of_algebra
 from puma_sim_core.identify.agreement import agreement as compare
@@ -252,7 +253,10 @@ class Stages:
         return retracted(self.selection, state, self.folds, self._noise_holds)
 
     def _noise_holds(self, state: SelectionState) -> bool:
-        """Whether the errors in open loop are of the size that the noise makes."""
+        """Whether the errors in open loop are of the size that the noise makes, or the effects found say nothing of
+        that: what happens once, such as a push, has no other fold to be predicted from."""
+        if not any(KINDS[name].repeatable for name, _ in state.keys):
+            return True
         noise = self._noise(state.model.point.plant(self.mechanism))
         table = self.folds.errors(self._models(state), self._floor(state), noise)["held_out"]
         return beyond_noise(table.position_rms) is None
