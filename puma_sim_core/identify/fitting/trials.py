@@ -168,12 +168,15 @@ class Trials:
         fit, frozen = base.fit, base.model.names
         if not starts[0].two_mass:
             pairs = (*frozen, *free)
-            found = [fit.run(at, pairs, rounds=FITTING.relinearised_rounds) for at in starts]
-            best = _lowest(*found)
+            # one round from each; what is best then has the others: the derivatives take nearly all of the time
+            best = _lowest(*(fit.run(at, pairs, rounds=1) for at in starts))
+            further = FITTING.relinearised_rounds - 1
+            if best is not None:
+                best = fit.run(best.point, pairs, rounds=further)
             if patient and best is not None and best.objective > base.model.objective:
                 # none need be worse than without the effect: the fit is still on its way
-                found.append(fit.run(best.point, pairs, rounds=FITTING.relinearised_rounds))
-            return found
+                best = _lowest(best, fit.run(best.point, pairs, rounds=FITTING.relinearised_rounds))
+            return [best]
         slopes = base.slopes
         if not base.model.point.two_mass:
             # a two-mass model answers to the arm's parameters much as the rigid one does

@@ -115,8 +115,8 @@ class ShortList:
         return more
 
     def _without_power(self, taken: Collection[Key], keys: Collection[Key], stretched: bool) -> Iterator[Scored]:
-        """Effects where the screening has no power: that may be the noise of a joint far noisier than the others, or,
-        with one mass, may make a voltage that nothing coarse explains. Such a one drives the parameters so far that no
+        """Effects where the screening has no power. With two masses, one may be the noise of a joint far noisier than the
+        others; with one, it may make a voltage that nothing coarse explains: it drives the parameters so far that no
         linear screening about them shows it; stretched : whether some are farther than their priors allow, for then it
         may be on any joint."""
         two_mass = {joint for name, joint in keys if self.library[name].two_masses}
@@ -125,7 +125,7 @@ class ShortList:
         for joint in range(1, len(volts) + 1):
             for name, kind in self.library.items():
                 values = dict(_screening(kind).unseen)
-                powerless = noisy[joint - 1] or ((stretched or joint in self.doubted) and not kind.two_masses)
+                powerless = noisy[joint - 1] if kind.two_masses else stretched or joint in self.doubted
                 if values and powerless and joint not in two_mass and (name, joint) not in taken:
                     yield Scored(name, joint, 0.0, values=values, occam=SCREENING.short_list_unseen_occam * len(values))
 
