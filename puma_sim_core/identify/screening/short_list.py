@@ -115,10 +115,12 @@ class ShortList:
         return more
 
     def _without_power(self, taken: Collection[Key], keys: Collection[Key], stretched: bool) -> Iterator[Scored]:
-        """Effects where the screening has no power. With two masses, one may be the noise of a joint far noisier than the
-        others; with one, it may make a voltage that nothing coarse explains: it drives the parameters so far that no
-        linear screening about them shows it; stretched : whether some are farther than their priors allow, for then it
-        may be on any joint."""
+        """Effects where the screening has no power.
+
+        With two masses, one may be the noise of a joint far noisier than the others; with one, it may make a voltage
+        that nothing coarse explains. Such a one drives the parameters so far that no linear screening about them shows
+        it; stretched : whether some are farther than their priors allow, for then it may be on any joint.
+        """
         two_mass = {joint for name, joint in keys if self.library[name].two_masses}
         volts = self.predictor.expected
         noisy = volts > SCREENING.short_list_noisy * np.median(volts)
