@@ -33,6 +33,7 @@ from puma_sim_core.errors import PumaSimError
 from puma_sim_core.recording.bag import read_bag
 from puma_sim_core.resources import config_path
 from puma_sim_core.simulation.replay import replay
+from puma_sim_ros.appraisal.command import Running
 from puma_sim_ros.appraise import battery_of, values_of
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -255,6 +256,15 @@ def test_a_process_that_does_not_start_leaves_nothing_behind(tmp_path):
     assert "appraise: parameter 'mine.command': its process ended with status 1 before its first answer" in errors
     assert "and said last: no gains; expected a process that answers" in errors
     assert not (tmp_path / "board").exists()
+
+
+def test_the_last_words_of_a_process_are_not_missed():
+    for _ in range(10):
+        process = Running([sys.executable, "-c", "import sys; sys.exit('no gains')"])
+        while not process.ended():
+            pass
+        assert process.last_line == "no gains"
+        process.end()
 
 
 def test_somebody_else_who_sends_commands_is_named(tmp_path):

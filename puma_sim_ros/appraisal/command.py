@@ -17,6 +17,8 @@ from puma_sim_ros.startup import users_environment
 _KEEPER = Path(__file__).with_name("keeper.py")
 #: time that a process has to end when it is asked to [s]
 _POLITE = 3.0
+#: time for its last words after its end [s]: what has left its group, as a daemon does, may hold its output open
+_LAST_WORDS = 1.0
 #: of what it says, so much is kept [bytes]
 _KEPT = 4000
 
@@ -61,7 +63,9 @@ class Running:
 
     @property
     def last_line(self) -> str:
-        """What it said last."""
+        """What it said last; all of it is read where it has ended."""
+        if self._process.poll() is not None:
+            self._reader.join(_LAST_WORDS)
         lines = [line for line in self._said.decode(errors="replace").splitlines() if line.strip()]
         return lines[-1].strip() if lines else ""
 
@@ -84,8 +88,7 @@ class Running:
         self._signal(signal.SIGKILL)
         self._process.wait()
         self._process.stdin.close()
-        # what has left the group, as a daemon does, may hold its end open
-        self._reader.join(1.0)
+        self._reader.join(_LAST_WORDS)
 
     def _signal(self, number: int) -> None:
         with contextlib.suppress(ProcessLookupError):
