@@ -26,7 +26,7 @@ class Data:
     sampling_second_share: float = 0.42  #: its greatest share of the first
     sampling_kept: float = 2.6  #: rows kept after the second filter, in multiples of its cutoff
     sampling_even: float = 0.02  #: steps of time that differ by less than this share count as even
-    #: decimals of the mean of `enable` over a step: the integral of 60000 rows is off by 1e-11 of a step
+    #: decimals of the mean of `enable` over a step: its rounding reaches 5e-12 in 60000 uneven rows, at 1 kHz
     enable_digits: int = 9
 
 
