@@ -4,7 +4,7 @@
 import numpy as np
 
 from puma_sim_core.effects.base import PLACE, RATE, TORQUE, Kind, Law, Parameter, Point
-from puma_sim_core.effects.screening import Candidate, Illegal, Screening, Signals
+from puma_sim_core.effects.screening import Candidate, Illegal, Screening, Signals, Values
 from puma_sim_core.effects.shared.columns import candidate, on_joint, positive, whole_range
 from puma_sim_core.jit import Table, inlined
 
@@ -26,13 +26,23 @@ def spring(signals: Signals, joint: int) -> list[Candidate]:
 
     def values(c: np.ndarray) -> dict[str, float]:
         stiffness = positive(c[0], "stiffness", "N.m/rad", 60.0 * unit)
-        angle = middle - float(c[1]) / max(stiffness, 1e-12)
-        if not 1.5 * low - 0.5 * high <= angle <= 1.5 * high - 0.5 * low:
-            raise Illegal(f"spring slack at {angle:.3g} rad, far outside the range {low:.3g} to {high:.3g} rad")
-        return {"stiffness": stiffness, "angle": angle}
+        found = {"stiffness": stiffness, "angle": middle - float(c[1]) / max(stiffness, 1e-12)}
+        reason = far(found, low, high)
+        if reason is not None:
+            raise Illegal(reason)
+        return found
 
     columns = on_joint(joint, q - middle, np.ones_like(q))
     return [candidate(columns, [2.0 * unit, 0.0], [3.0 * unit, 1.5 * scale], values)]
+
+
+def far(values: Values, low: float, high: float) -> str | None:
+    """Where the spring is slack more than half of the range `low` to `high` beyond it: its torque varies by less than
+    half of its mean there, and is told from a constant one by nothing else. None where it is not."""
+    angle, beyond = values["angle"], 0.5 * (high - low)
+    if low - beyond <= angle <= high + beyond:
+        return None
+    return f"spring slack at {angle:.3g} rad, far outside the range {low:.3g} to {high:.3g} rad"
 
 
 EFFECT = Kind(
@@ -46,7 +56,7 @@ EFFECT = Kind(
         Parameter("angle", "rad", -10.0, 10.0, "q0, where it is slack", PLACE, default=0.0),
     ),
     laws=(Law(Point.LINK_TORQUE, spring_torque, 1),),
-    screening=Screening(spring, "Slow motion over the full range of the joint."),
+    screening=Screening(spring, "Slow motion over the full range of the joint.", illegal=far),
     drawn_against=("position",),
     example="joint_spring:joint=3,stiffness=6",
 )
