@@ -322,7 +322,7 @@ def test_friction_that_would_be_none_in_a_part_of_the_range_is_none_of_a_machine
 
 
 def test_a_spring_that_a_fit_took_far_outside_the_motion_is_a_constant_torque():
-    """Seen on a lever that is lifted once: a screened spring inside the limit was fitted to 4.7 rad beyond the motion."""
+    """Seen on a lever that is lifted once: the screened spring was slack nearer, the fitted one at -4.7 rad."""
     _, trials, _ = lacking(parse_effect("coulomb_friction:joint=1,torque=0.05"))
     position = trials.problem.sampled.position[:, 0]
     low, high = float(position.min()), float(position.max())
