@@ -42,7 +42,7 @@ def far(values: Values, low: float, high: float) -> str | None:
     angle, beyond = values["angle"], 0.5 * (high - low)
     if low - beyond <= angle <= high + beyond:
         return None
-    return f"spring slack at {angle:.3g} rad, far outside the range {low:.3g} to {high:.3g} rad"
+    return f"slack at {angle:.3g} rad, far outside the range {low:.3g} to {high:.3g} rad, and all but a constant torque"
 
 
 EFFECT = Kind(

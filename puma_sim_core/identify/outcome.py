@@ -14,6 +14,7 @@ from puma_sim_core.identify import result
 from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.experiment.next_experiment import next_experiment
 from puma_sim_core.identify.fitting.predictor import Predictor
+from puma_sim_core.identify.fitting.trials import Trial
 from puma_sim_core.identify.prepare import Prepared
 from puma_sim_core.identify.residuals.shape import Curve, describe
 from puma_sim_core.identify.residuals.unnamed import remainder
@@ -65,7 +66,9 @@ def compose(found: Findings) -> result.Explanation:
         unnamed = found.curves[0]
     curve = None
     verdict = result.NAMED if names else result.NOTHING_MISSING
-    if unnamed is not None or beyond is not None:
+    # an effect that the log asks for, of a size that no machine has, is no name: but nothing is not missing either
+    refuting = None if names else s.history[-1].refuting
+    if unnamed is not None or beyond is not None or refuting is not None:
         verdict = result.NAMED_WITH_REMAINDER if names else result.UNNAMED
     if unnamed is not None:
         best = [(c, c.scored) for c in found.curves[: RESIDUALS.ranked_curves]]
@@ -75,7 +78,7 @@ def compose(found: Findings) -> result.Explanation:
     unseen = [d for d in found.detectability if not d.excited]
     return result.Explanation(
         verdict,
-        _sentence(verdict, names, curve, found.errors, beyond),
+        _sentence(verdict, names, curve, found.errors, beyond, refuting),
         names,
         found.errors,
         curve,
@@ -146,12 +149,14 @@ def _sentence(
     curve: result.Shape | None,
     errors: Mapping[str, result.Errors],
     beyond: tuple[int, float] | None,
+    refuting: Trial | None,
 ) -> str:
     if verdict == result.NOTHING_MISSING:
         return "Nothing is missing that this log could show: the retuned model explains it down to its noise."
     times = "" if beyond is None else f"the open-loop error of joint {beyond[0]} is {beyond[1]:.3g} times its noise"
     if verdict == result.UNNAMED and curve is None:
-        return f"Something is missing that no effect of the library explains: {times}."
+        why = [*([] if refuting is None else [_refuted(refuting)]), *([times] if times else [])]
+        return f"Something is missing that no effect of the library explains: {'; '.join(why)}."
     if verdict == result.UNNAMED and curve is not None:
         what = f"a curve over {curve.axis} {curve.way}".rstrip()
         if curve.line_hz is not None:
@@ -169,6 +174,12 @@ def _sentence(
     if verdict == result.NAMED_WITH_REMAINDER and curve is not None:
         text += f"; beside that something on joint {curve.joint} over {curve.axis} is left that has no name"
     return f"{text}; {times}." if times else f"{text}."
+
+
+def _refuted(trial: Trial) -> str:
+    """An effect that explains what is missing with values that no machine has."""
+    where = "the whole arm" if trial.joint is None else f"joint {trial.joint}"
+    return f"{effect_name(trial.name, lower=True)} on {where} has {trial.gain:.0f} nat, but {trial.problem}"
 
 
 def _estimate(interval: result.Interval) -> str:

@@ -65,6 +65,11 @@ class Trial:
         return self.fitted is not None and self.problem is None
 
     @property
+    def impossible(self) -> bool:
+        """Whether it was fitted, and no machine has the values that it would need."""
+        return self.fitted is not None and self.problem is not None and self.problem.startswith(_IMPOSSIBLE)
+
+    @property
     def explains(self) -> bool:
         """Whether it was fitted and may be what the log has: an effect, or a wrong zero of any size, which is a fault
         of the data."""

@@ -180,7 +180,8 @@ class Selection:
                 accepted = self._parsimonious(passing[0], passing) if passing else None
             if accepted is not None:
                 accepted = self._common(accepted, passing)
-        return replace(state, history=(*state.history, replace(stage, accepted=accepted)))
+        refuting = next((t for t in trials if t.impossible and _asked_for(t, stage) and self._beside(state, t)), None)
+        return replace(state, history=(*state.history, replace(stage, accepted=accepted, refuting=refuting)))
 
     def add(self, state: SelectionState) -> SelectionState:
         """Put the accepted effect into the model."""
@@ -367,9 +368,13 @@ def _through(passes: Iterable[Pass], state: SelectionState) -> SelectionState:
 
 def _passes(trial: Trial, stage: Stage) -> bool:
     """Whether a trial of a stage may be accepted."""
+    return trial.problem is None and _asked_for(trial, stage)
+
+
+def _asked_for(trial: Trial, stage: Stage) -> bool:
+    """Whether the log asks for a trial of a stage, whatever a machine may have."""
     return (
-        trial.problem is None
-        and trial.key not in stage.unclear
+        trial.key not in stage.unclear
         and trial.validation_gain > 0.0
         and trial.gain > stage.needed(trial)
         and (not KINDS[trial.name].two_masses or trial.gain > SELECTION.least_two_mass)

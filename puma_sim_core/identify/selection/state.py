@@ -48,7 +48,8 @@ class Stage:
 
     trials : best first; threshold : of a name; base : the model that gains are over; accepted : the trial that the log
     asks for; doubted : the validation refused the noise that the model leaves; unclear : effects that are not
-    better than the model that they would be added to by what a name needs of standard errors.
+    better than the model that they would be added to by what a name needs of standard errors; refuting : the best trial
+    that the log would ask for, if a machine could have its values, None without any.
     """
 
     trials: tuple[Trial, ...]
@@ -57,6 +58,7 @@ class Stage:
     accepted: Trial | None = None
     doubted: bool = False
     unclear: frozenset[Key] = frozenset()
+    refuting: Trial | None = None
 
     def needed(self, trial: Trial) -> float:
         """The gain [nat] that a trial must have more than: more where the validation set says nothing of it, but for
