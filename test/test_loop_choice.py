@@ -337,20 +337,20 @@ def test_what_more_of_makes_less_of_an_effect_is_not_too_much():
     stiff = parse_effect("joint_elasticity:joint=1,stiffness=9e5")
     soft = parse_effect("joint_elasticity:joint=1,stiffness=20")
     assert chooser.implausible(stiff) is None
-    assert "stiffness 20, less than any machine has" in chooser.implausible(soft)
+    assert "stiffness 20 N.m/rad, less than any machine has" in chooser.implausible(soft)
     heavy = parse_effect("coulomb_friction:joint=2,torque=400")
-    assert "torque 400, more than any machine has" in chooser.implausible(heavy)
+    assert "torque 400 N.m, more than any machine has" in chooser.implausible(heavy)
     quick = parse_effect("resistance_drift:joint=2,share=0.4,time_constant=0.06")
-    assert "time_constant 0.06, less than any machine has" in chooser.implausible(quick)
+    assert "time_constant 0.06 s, less than any machine has" in chooser.implausible(quick)
     tiny = parse_effect("voltage_dead_band:joint=2,voltage=0.004")
-    assert "voltage 0.004, less than any machine has" in chooser.implausible(tiny)
+    assert "voltage 4 mV, less than any machine has" in chooser.implausible(tiny)
     # one size of two may be small, and what says where or how fast has none
     assert chooser.implausible(parse_effect("base_tilt:x=0.0001,y=0.03")) is None
     assert chooser.implausible(parse_effect("impulse:joint=1,torque=9,time=3,width=0.001")) is None
     # a hand pushes as hard as it likes, but not for a row alone
     assert chooser.implausible(parse_effect("impulse:joint=1,torque=2500,time=3,width=0.2")) is None
     short = chooser.implausible(parse_effect("impulse:joint=1,torque=2500,time=3,width=0.001"))
-    assert "torque 2.5e+03, more than any machine has" in short
+    assert "torque 2.5e+03 N.m, more than any machine has" in short
 
 
 def test_plausible_sizes_go_with_the_machine_and_a_bound_is_no_size():

@@ -94,4 +94,5 @@ def test_an_effect_of_a_size_that_no_machine_has_is_no_name_and_not_nothing():
     log = record(mechanism, mechanism.plant(effects=(small,)), volts=5e-4, noise=1e-5)
     found = explain(log, plant="pendulum")
     assert (found.verdict, found.effects) == ("UNNAMED", ())
-    assert "voltage dead-band on joint 1 has" in found.sentence and "less than any machine has" in found.sentence
+    assert "voltage dead-band on joint 1 has" in found.sentence
+    assert " mV, less than any machine has (35.2 mV)" in found.sentence

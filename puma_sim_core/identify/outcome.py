@@ -21,7 +21,7 @@ from puma_sim_core.identify.residuals.unnamed import remainder
 from puma_sim_core.identify.selection.state import SelectionState
 from puma_sim_core.identify.settings import FITTING, RESIDUALS
 from puma_sim_core.identify.standing import Standing, clearly, ranking, ruled_out, standings, ties
-from puma_sim_core.pages.text import effect_name, scale
+from puma_sim_core.pages.text import effect_name, plain_quantity, scale
 from puma_sim_core.plant.mechanism import Mechanism
 
 #: signals that residuals may be drawn against
@@ -185,14 +185,8 @@ def _refuted(trial: Trial) -> str:
 def _estimate(interval: result.Interval) -> str:
     """An estimate, or its bound where it has but a lower one."""
     if interval.at_least:
-        return f"at least {_size(interval.low, interval.unit)}"
-    return _size(interval.value, interval.unit)
-
-
-def _size(value: float, unit: str) -> str:
-    """A size in a unit that reads well."""
-    factor, shown = scale([value], unit)
-    return f"{value * factor:.3g} {'' if shown == '1' else shown}".strip()
+        return f"at least {plain_quantity(interval.low, interval.unit)}"
+    return plain_quantity(interval.value, interval.unit)
 
 
 def _change(volts: result.StageErrors, joint: int | None) -> str:

@@ -85,6 +85,12 @@ def quantity(value: float, name: str) -> str:
     return f"{number(value * factor)}{SPACE}{unit_text(shown)}".rstrip(SPACE)
 
 
+def plain_quantity(value: float, name: str) -> str:
+    """`quantity` in plain text, with three digits."""
+    factor, shown = scale([value], name)
+    return f"{value * factor:.3g} {'' if shown == '1' else shown}".strip()
+
+
 def effect_name(name: str, lower: bool = False) -> str:
     """The name of an effect in words; `lower`: inside a sentence, where proper names keep their capital."""
     words = " ".join(_PROPER.get(word, word) for word in name.split("_"))

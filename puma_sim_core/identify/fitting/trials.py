@@ -23,6 +23,7 @@ from puma_sim_core.identify.noise.weighting import Weighting
 from puma_sim_core.identify.screening.evidence import Key, Scored
 from puma_sim_core.identify.screening.problem import Problem
 from puma_sim_core.identify.settings import FITTING, SELECTION
+from puma_sim_core.pages.text import plain_quantity
 
 _IMPOSSIBLE = "it would need an impossible value"
 _NOT_FINITE = "the model with it does not stay finite along the log"
@@ -339,9 +340,11 @@ class Trials:
             if value is None or not known:
                 continue
             least, most = low * min(known), high * max(known)
-            less = f"{_IMPOSSIBLE}: {name} {value:.3g}, less than any machine has ({least:.3g})"
+            unit = self.mechanism.unit(parameter.unit)
+            size, least_size, most_size = (plain_quantity(each, unit) for each in (value, least, most))
+            less = f"{_IMPOSSIBLE}: {name} {size}, less than any machine has ({least_size})"
             if abs(value) > FITTING.above_plausible * most and not (parameter.inverse or _from_outside(effect)):
-                return f"{_IMPOSSIBLE}: {name} {value:.3g}, more than any machine has ({most:.3g})"
+                return f"{_IMPOSSIBLE}: {name} {size}, more than any machine has ({most_size})"
             if parameter.role is Role.RATE and value < least / FITTING.below_plausible:
                 return less
             if parameter.role is Role.SIZE:
