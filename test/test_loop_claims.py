@@ -84,15 +84,3 @@ def test_voltages_that_no_effect_explains_refuse_a_log():
     assert not found.faults and [doubt.channel for doubt in found.doubts] == ["voltage1"]
     refused = explain(other, plant="pendulum")
     assert refused.verdict == "DATA_FAULT" and refused.faults == found.doubts
-
-
-@pytest.mark.long
-def test_an_effect_of_a_size_that_no_machine_has_is_no_name_and_not_nothing():
-    """Seen on a blind record: a gap of 9.4 mrad, more than machines have, had 666 nat, and nothing was missing."""
-    mechanism = load_mechanism("pendulum")
-    small = parse_effect("voltage_dead_band:joint=1,voltage=0.006")
-    log = record(mechanism, mechanism.plant(effects=(small,)), volts=5e-4, noise=1e-5)
-    found = explain(log, plant="pendulum")
-    assert (found.verdict, found.effects) == ("UNNAMED", ())
-    assert "voltage dead-band on joint 1 has" in found.sentence
-    assert " mV, less than any machine has (35.2 mV)" in found.sentence

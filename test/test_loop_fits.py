@@ -314,23 +314,6 @@ def test_a_level_that_stuck_far_off_starts_from_the_one_of_what_contains_it():
     assert refits.from_containing(replace(state, trials=(lost,))).trials[0] is lost
 
 
-def test_friction_that_would_be_none_in_a_part_of_the_range_is_none_of_a_machine():
-    _, trials, _ = lacking(parse_effect("coulomb_friction:joint=1,torque=0.05"))
-    for amplitude, refused in ((0.03, False), (0.09, True)):
-        effect = parse_effect(f"position_dependent_friction:joint=1,torque=0.05,amplitude={amplitude},angle=3")
-        assert ("negative level" in (trials.implausible(effect) or "")) == refused
-
-
-def test_a_spring_that_a_fit_took_far_outside_the_motion_is_a_constant_torque():
-    """Seen on a lever that is lifted once: the screened spring was slack nearer, the fitted one at -4.7 rad."""
-    _, trials, _ = lacking(parse_effect("coulomb_friction:joint=1,torque=0.05"))
-    position = trials.problem.sampled.position[:, 0]
-    low, high = float(position.min()), float(position.max())
-    for share, refused in ((-0.6, True), (-0.4, False), (0.5, False), (1.4, False), (1.6, True)):
-        spring = parse_effect(f"joint_spring:joint=1,stiffness=0.5,angle={low + share * (high - low)}")
-        assert ("far outside the range" in (trials.implausible(spring) or "")) == refused
-
-
 def test_a_share_that_a_short_log_does_not_tell_is_none_on_a_bound():
     arm = load_mechanism()
     true = parse_effect("friction_warm_up:joint=2,share=0.85,time_constant=8")

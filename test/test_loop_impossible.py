@@ -1,0 +1,40 @@
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
+"""Values that no machine has: they are not named, and do not let a verdict say that nothing is missing."""
+
+import pytest
+from loop_fits import lacking
+from loop_logs import record
+
+from puma_sim_core.effects import parse_effect
+from puma_sim_core.identify import explain
+from puma_sim_core.plant.mechanism_file import load_mechanism
+
+pytestmark = pytest.mark.long
+
+
+def test_friction_that_would_be_none_in_a_part_of_the_range_is_none_of_a_machine():
+    _, trials, _ = lacking(parse_effect("coulomb_friction:joint=1,torque=0.05"))
+    for amplitude, refused in ((0.03, False), (0.09, True)):
+        effect = parse_effect(f"position_dependent_friction:joint=1,torque=0.05,amplitude={amplitude},angle=3")
+        assert ("negative level" in (trials.implausible(effect) or "")) == refused
+
+
+def test_a_spring_that_a_fit_took_far_outside_the_motion_is_a_constant_torque():
+    """Seen on a lever that is lifted once: the screened spring was slack nearer, the fitted one at -4.7 rad."""
+    _, trials, _ = lacking(parse_effect("coulomb_friction:joint=1,torque=0.05"))
+    position = trials.problem.sampled.position[:, 0]
+    low, high = float(position.min()), float(position.max())
+    for share, refused in ((-0.6, True), (-0.4, False), (0.5, False), (1.4, False), (1.6, True)):
+        spring = parse_effect(f"joint_spring:joint=1,stiffness=0.5,angle={low + share * (high - low)}")
+        assert ("far outside the range" in (trials.implausible(spring) or "")) == refused
+
+
+def test_an_effect_of_a_size_that_no_machine_has_is_no_name_and_not_nothing():
+    """Seen on a blind record: a gap of 9.4 mrad, more than machines have, had 666 nat, and nothing was missing."""
+    mechanism = load_mechanism("pendulum")
+    small = parse_effect("voltage_dead_band:joint=1,voltage=0.006")
+    log = record(mechanism, mechanism.plant(effects=(small,)), volts=5e-4, noise=1e-5)
+    found = explain(log, plant="pendulum")
+    assert (found.verdict, found.effects) == ("UNNAMED", ())
+    assert "voltage dead-band on joint 1 has" in found.sentence
+    assert " mV, less than any machine has (35.2 mV)" in found.sentence
