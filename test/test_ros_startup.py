@@ -6,7 +6,9 @@ from __future__ import annotations
 import os
 import signal
 import socket
+import sys
 import time
+import weakref
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ rclpy = pytest.importorskip("rclpy")
 from ros_support import Program, arguments, run_program
 
 from puma_sim_core.simulation.replay import replay
+from puma_sim_ros.node import run
 from puma_sim_ros.startup import StartError, ros_started, users_environment
 
 VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
@@ -88,6 +91,34 @@ def test_a_signal_at_any_moment_of_the_start_leaves_a_closed_bag_or_none(tmp_pat
             assert replay(bag).identical
         else:
             assert not bag.exists()
+
+
+def test_a_signal_while_python_collects_an_object_is_neither_lost_nor_a_traceback(monkeypatch, capfd):
+    """Python cannot hand on what is raised there, for instance when the lock of an import is no longer needed."""
+
+    class Node:
+        def __init__(self):
+            class Lock: ...
+
+            lock = Lock()
+            _kept = weakref.ref(lock, lambda _: signal.raise_signal(signal.SIGTERM))
+            del lock
+
+        def destroy_node(self): ...
+
+        def open_bag(self):
+            pytest.fail("a bag is opened after the signal")
+
+    before = [(number, signal.getsignal(number)) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
+    told: list[object] = []
+    monkeypatch.setattr(sys, "unraisablehook", told.append)
+    monkeypatch.setattr(run, "SimNode", Node)
+    try:
+        assert run.main([]) == 128 + signal.SIGTERM
+    finally:
+        for number, handler in before:
+            signal.signal(number, handler)
+    assert not told and capfd.readouterr().err == ""
 
 
 def test_fast_dds_takes_the_settings_and_announces_the_node_more_often():

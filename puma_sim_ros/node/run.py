@@ -1,8 +1,10 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """`SimNode` from its start to its end by a signal."""
 
+import contextlib
 import signal
 import sys
+from collections.abc import Iterator
 from typing import Any, NoReturn
 
 from rclpy.exceptions import ParameterException
@@ -18,22 +20,25 @@ class _Stopped(BaseException):
 
 def main(args: list[str] | None = None) -> int:
     """Entry point of ``sim_node``; returns the exit status: 2 where it does not start, 1 where it failed later."""
-    stop: list[bool] = []
+    stop: list[int] = []
 
     def at_once(number: int, _frame: object) -> NoReturn:
-        # kept as well: where a library takes up the exception, the node ends by itself when it runs
-        stop.append(True)
+        # kept as well: a library may take up the exception, and Python itself does where the signal comes while it
+        # collects an object
+        stop.append(number)
         _heed(signal.SIG_IGN)
         raise _Stopped(number)
 
-    _heed(at_once)
     try:
-        with ros_started(args):
+        _heed(at_once)
+        with _said_of_nothing(_Stopped), ros_started(args):
             node = SimNode()
-            # from here on, Python's own handler could interrupt a record of the bag
-            _heed(lambda *_: stop.append(True))
-            node.open_bag()
             try:
+                # from here on, Python's own handler could interrupt a record of the bag
+                _heed(lambda number, _: stop.append(number))
+                if stop:
+                    raise _Stopped(stop[0])
+                node.open_bag()
                 return _run(node, stop)
             finally:
                 node.destroy_node()
@@ -44,13 +49,29 @@ def main(args: list[str] | None = None) -> int:
         return 128 + stopped.args[0]
 
 
+@contextlib.contextmanager
+def _said_of_nothing(kind: type[BaseException]) -> Iterator[None]:
+    """Print no traceback of an exception of this kind that Python cannot hand on, from a callback of its memory."""
+    before = sys.unraisablehook
+
+    def hook(unraisable: Any) -> None:
+        if not issubclass(unraisable.exc_type, kind):
+            before(unraisable)
+
+    sys.unraisablehook = hook
+    try:
+        yield
+    finally:
+        sys.unraisablehook = before
+
+
 def _heed(handler: Any) -> None:
     """Use a handler for all signals that end the node."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, handler)
 
 
-def _run(node: SimNode, stop: list[bool]) -> int:
+def _run(node: SimNode, stop: list[int]) -> int:
     status = 0
     try:
         node.run(lambda: bool(stop))
