@@ -63,6 +63,13 @@ def test_a_decimal_comma_between_commas_is_refused_by_its_line(file, row, words)
         list(CsvRows(file).blocks(range(2)))
 
 
+def test_a_log_of_one_row_is_refused_with_what_is_enough(file):
+    file.write_text("time,voltage1,position1\n0,1.5,-0.25\n")
+    said = "\n".join(overview(read_log(file, joints=1), PENDULUM).lines("rad"))
+    assert "the log is too short: 1 row over 0 s from row 1 (line 2) on; expected 100 rows and 1 s at least" in said
+    assert "nothing of it can be used" in said
+
+
 TITLES = "Rig 4,run of May,\n2nd axis held\n"
 
 

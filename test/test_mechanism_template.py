@@ -81,7 +81,7 @@ def test_new_show_and_list(tmp_path, capsys):
 @pytest.mark.parametrize(
     "arguments, words",
     [
-        (("--kind", "pendulum"), "a mechanism of kind pendulum: no drive; expected one drive"),
+        (("--kind", "pendulum"), "a mechanism of kind pendulum: no drive; expected one drive, as with --drive voltage"),
         (("--kind", "pendulum", "--shoulder", "none"), "--shoulder of a pendulum; expected --drive"),
         (("--kind", "linkage", "--elbow", "torque"), "elbow torque; expected a shoulder, a base, or both"),
         (("--kind", "linkage", "--drive", "torque"), "--drive of a linkage"),

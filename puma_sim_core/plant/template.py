@@ -45,7 +45,7 @@ def template(name: str, kind: str, drives: Mapping[str, str]) -> str:
         "linkage": "a shoulder, a base, or both",
         "transmission": "a drive on torque, on current, or none",
     }
-    single = expected.get(kind, "one drive")
+    single = expected.get(kind, "one drive, as with --drive voltage")
     fits = {"arm": not drives, "linkage": bool(drives) and (ELBOW not in drives or SHOULDER in drives)}
     fits["transmission"] = list(drives) == [SHOULDER] and drives[SHOULDER] in AMPLIFIERS_OF_TRANSMISSIONS
     if not fits.get(kind, set(drives) == {SHOULDER}):

@@ -172,7 +172,7 @@ def _needed(part: Log) -> float:
 
 
 def _short(part: Log) -> Fault:
-    what = f"the log is too short: {len(part)} rows over {part.span:.3g} s from {part.place(0)} on"
+    what = f"the log is too short: {part.extent} from {part.place(0)} on"
     return Fault.of("time", None, what, f"{CHECKS.gate_least_rows} rows and {_needed(part):.2g} s at least")
 
 

@@ -58,6 +58,11 @@ class Log:
         """Time from the first row to the last [s]."""
         return float(self.time[-1] - self.time[0])
 
+    @property
+    def extent(self) -> str:
+        """Its rows and its span, for people."""
+        return f"{len(self)} {'row' if len(self) == 1 else 'rows'} over {self.span:.4g} s"
+
     def row(self, index: int) -> int:
         """Number of the row with an index from 0; rows of a log count from 1."""
         return self.first + index + 1
