@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.signal import lfilter
 
 from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.data.sampling import sample
@@ -16,15 +17,18 @@ STEP, SECONDS = 2e-3, 10.0
 START = [0.1, -0.9, 1.1]
 
 
-def record(mechanism, plant, volts=0.0, noise=0.0, enable=None, seconds=SECONDS, unlogged=None):
-    """A log of a plant with white noise of the voltage [V] and of the positions; unlogged: function
-    of (time, state of the simulator) -> (J,) [V] more that the plant gets."""
+def record(mechanism, plant, volts=0.0, noise=0.0, enable=None, seconds=SECONDS, unlogged=None, correlation=0.0):
+    """A log of a plant with noise of the voltage [V], white or with a correlation time [s], and white noise of the
+    positions; unlogged: function of (time, state of the simulator) -> (J,) [V] more that the plant gets."""
     J, rng = mechanism.joints, np.random.default_rng(3)
     time = np.arange(0.0, seconds, STEP)
     voltage = sum(a * np.sin(w * time[:, None] + w * np.arange(J)) for a, w in ((3.0, 2.1), (2.0, 5.3)))
     simulator = Simulator(plant, max_step=1e-3)
     simulator.reset(START[:J])
-    given = voltage + volts * rng.standard_normal(voltage.shape)
+    kept = np.exp(-STEP / correlation) if correlation else 0.0
+    given = voltage + lfilter(
+        [volts * np.sqrt(1.0 - kept**2)], [1.0, -kept], rng.standard_normal(voltage.shape), axis=0
+    )
     if unlogged is None:
         position = simulator.run(time, given, enable=enable).position
     else:

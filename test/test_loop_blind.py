@@ -64,6 +64,19 @@ def test_nothing_is_missing_where_parameters_are_only_wrong(name):
     assert any(row["size"] != "NOT_EXCITED" for row in report["detectability"])
 
 
+def test_slow_noise_is_nothing_that_is_missing(tmp_path):
+    """A development record: with its correlation of 50 ms the noise makes 13 times as much in open loop as if white."""
+    pytest.importorskip("mujoco")
+    from blind import generate
+    from score import plan
+
+    (recipe,) = (recipe for recipe in plan.plan({"nothing": 60}, 2900) if recipe.seed == 2947)
+    path, truth = generate.make(recipe, tmp_path)
+    assert truth["correlation_ms"] > 50.0 and scoring.kind_of(truth) == "nothing"
+    report = report_mapping(explain(str(path)))
+    assert report["verdict"] == "NOTHING_MISSING" and report["effects"] == []
+
+
 @pytest.mark.parametrize("name", SINGLE)
 def test_the_effect_is_named_with_its_joint(name):
     report = explained(name)

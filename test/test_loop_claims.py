@@ -18,26 +18,26 @@ from puma_sim_core.identify.settings import CHECKS, RESIDUALS
 from puma_sim_core.plant.mechanism_file import load_mechanism
 
 
-def errors(augmented, floor, nominal=4.0) -> StageErrors:
-    augmented, floor = np.array(augmented, dtype=float), np.array(floor, dtype=float)
-    return StageErrors(nominal=nominal * augmented, retuned=2.0 * augmented, augmented=augmented, floor=floor)
+def errors(augmented, nominal=4.0) -> StageErrors:
+    augmented = np.array(augmented, dtype=float)
+    return StageErrors(nominal * augmented, 2.0 * augmented, augmented, np.full(augmented.shape, np.nan))
 
 
 def test_errors_of_the_noise_s_size_are_noise_and_the_worst_joint_is_named():
     limit = RESIDUALS.open_loop_beyond
-    assert beyond_noise(errors([1.0, 0.99 * limit, 1.0], [1.0, 1.0, 1.0])) is None
-    assert beyond_noise(errors([1.0, 40.0, 2.0], [1.0, 1.0, 0.01])) == (3, pytest.approx(200.0))
+    assert beyond_noise(errors([1.0, 0.99 * limit, 1.0]), np.ones(3)) is None
+    assert beyond_noise(errors([1.0, 40.0, 2.0]), np.array([1.0, 1.0, 0.01])) == (3, pytest.approx(200.0))
 
 
 def test_a_log_without_noise_has_no_size_of_noise():
-    assert beyond_noise(errors([1e-7], [1e-10])) is not None
-    assert beyond_noise(errors([1e-7], [1e-10], nominal=1e5)) is None
+    assert beyond_noise(errors([1e-7]), np.array([1e-10])) is not None
+    assert beyond_noise(errors([1e-7], nominal=1e5), np.array([1e-10])) is None
 
 
-@pytest.mark.parametrize("floor", [0.0, np.nan])
-def test_a_joint_without_a_floor_says_nothing(floor):
-    assert beyond_noise(errors([1.0, 5.0], [1.0, floor])) is None
-    assert beyond_noise(errors([np.nan, np.nan], [1.0, 1.0])) is None
+@pytest.mark.parametrize("most", [0.0, np.nan])
+def test_a_joint_without_noise_says_nothing(most):
+    assert beyond_noise(errors([1.0, 5.0]), np.array([1.0, most])) is None
+    assert beyond_noise(errors([np.nan, np.nan]), np.ones(2)) is None
 
 
 def test_limits_come_from_the_motion_where_hardly_any_of_the_command_comes_through():

@@ -12,6 +12,7 @@ from scipy.optimize import minimize_scalar
 
 from puma_sim_core.effects import Effect, parse_effect
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
+from puma_sim_core.identify.noise.open_loop import RowNoise
 from puma_sim_core.identify.screening.problem import Problem
 from puma_sim_core.identify.selection.cross_validation import CrossValidation, Fold, WeightedModel
 from puma_sim_core.identify.selection.validate import Validation
@@ -122,7 +123,7 @@ def test_the_errors_are_those_of_all_windows_together():
     assert np.allclose(folds.position_rms(model), together, rtol=1e-12)
     start = Point(folds.folds[0].predictor.mechanism.start, ())
     models = {"nominal": start, "retuned": model, "augmented": model}
-    tables = folds.errors(models, np.array([0.1]), (np.array([NOISE]), np.array([1e-5])))
+    tables = folds.errors(models, np.array([0.1]), RowNoise(np.array([NOISE]), np.array([1e-5])))
     assert np.array_equal(tables["held_out"].position_rms.augmented, folds.position_rms(model))
     assert np.array_equal(tables["unseen"].position_rms.retuned, folds.unseen(model.fitted.point))
     assert np.array_equal(tables["unseen"].position_rms.nominal, folds.unseen(start))

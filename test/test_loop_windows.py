@@ -15,9 +15,10 @@ from scipy.linalg import solve_discrete_lyapunov
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.data.sampling import sample
-from puma_sim_core.identify.fitting.predictor import stable_step, stationary_covariance
+from puma_sim_core.identify.fitting.predictor import stable_step
+from puma_sim_core.identify.noise.open_loop import noise_behind, position_floor, stationary_covariance
 from puma_sim_core.identify.screening.problem import Problem
-from puma_sim_core.identify.selection.validate import position_floor, rms
+from puma_sim_core.identify.selection.validate import rms
 from puma_sim_core.identify.settings import SELECTION
 from puma_sim_core.plant.mechanism_file import load_mechanism
 from puma_sim_core.simulation.simulator import Simulator
@@ -151,22 +152,64 @@ def test_what_noise_settles_at_solves_its_equation(radius):
     assert np.allclose(P, solve_discrete_lyapunov(A, B @ B.T), rtol=1e-9)
 
 
-def test_the_floor_is_what_a_true_model_reaches():
+def of_rows(seen, plant):
+    """(N, J) innovations of a plant at the rows to fit."""
+    return np.where(seen.predictor.fit_rows, seen.predictor.errors(plant), np.nan)
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.04])
+def test_the_floor_is_what_a_true_model_reaches(correlation):
     mechanism = load_mechanism()
     volts, noise = 0.3, 5e-5
-    log = record(mechanism, mechanism.plant(), volts, noise, seconds=40.0)
+    log = record(mechanism, mechanism.plant(), volts, noise, seconds=40.0, correlation=correlation)
     # also where the observer was made for another noise
     for guess, room in ((volts, 1.6), (3.0 * volts, 2.5)):
         seen = validation(mechanism, log, guess, noise)
-        left = seen.predictor.errors(mechanism.plant())[seen.predictor.fit_rows.all(axis=1)]
-        found = seen.predictor.noise_behind(left.var(axis=0), np.full(3, noise))
+        left = of_rows(seen, mechanism.plant())
+        found = noise_behind(seen.predictor, left, np.full(3, noise), correlation)
         # each joint by itself, with its mean inertia: joint 1's doubles with the arm stretched out
-        assert (found[0] < room * volts).all() and (found[0] > volts / room).all()
-        assert (found[1] <= noise).all() and (found[1] > 0.8 * noise).all()
+        assert (found.volts < room * volts).all() and (found.volts > volts / room).all()
+        assert (found.position <= noise).all() and (found.position > 0.8 * noise).all()
         for key in ("fit", "held_out"):
-            floor = position_floor(seen.predictor, seen.lengths(key), *found)
+            floor = position_floor(seen.predictor, seen.lengths(key), found)
             ratio = rms(seen.window_errors(mechanism.plant(), key)) / floor
             assert (ratio > 1.0 / room).all() and (ratio < room).all()
+
+
+def test_of_noises_behind_the_same_innovations_the_slower_makes_more_in_open_loop():
+    mechanism = load_mechanism()
+    seen = validation(mechanism, record(mechanism, mechanism.plant(), 0.3, 5e-5, correlation=0.04), 0.3, 5e-5)
+    left = of_rows(seen, mechanism.plant())
+    floors = [
+        position_floor(seen.predictor, seen.lengths("fit"), noise_behind(seen.predictor, left, np.full(3, 5e-5), T))
+        for T in (0.0, 0.01, 0.02, 0.04, 0.08)
+    ]
+    assert (np.diff(floors, axis=0) > 0.0).all()
+    # a white noise would be called a misfit here
+    assert (rms(seen.window_errors(mechanism.plant(), "fit")) > 2.0 * floors[0]).all()
+
+
+def test_a_voltage_of_correlation_zero_is_white():
+    mechanism = load_mechanism("pendulum")
+    seen = validation(mechanism, record(mechanism, mechanism.plant(), 0.02, 1e-5), 0.02, 1e-5)
+    left, sensed = of_rows(seen, mechanism.plant()), np.array([1e-5])
+    white, fast = (noise_behind(seen.predictor, left, sensed, T) for T in (0.0, 1e-3 * STEP))
+    assert np.allclose(white.volts, fast.volts, rtol=1e-12) and np.array_equal(white.position, fast.position)
+    lengths = seen.lengths("fit")
+    both = [position_floor(seen.predictor, lengths, noise) for noise in (white, fast)]
+    assert np.allclose(*both, rtol=1e-12)
+
+
+def test_no_more_is_noise_than_changes_from_row_to_row_allow():
+    mechanism = load_mechanism("pendulum")
+    seen = validation(mechanism, record(mechanism, mechanism.plant(), 0.02, 1e-5), 0.02, 1e-5)
+    seen.predictor.expected = np.array([1e-3])
+    left = of_rows(seen, mechanism.plant())
+    for T in (0.0, 0.05):
+        found = noise_behind(seen.predictor, left, np.array([1e-5]), T)
+        # standard deviation of the changes of such a voltage, and of a white one as expected
+        kept = np.exp(-STEP / T) if T else 0.0
+        assert found.volts[0] * np.sqrt(2.0 * (1.0 - kept)) == pytest.approx(1e-3 * np.sqrt(2.0), rel=1e-3)
 
 
 def test_a_state_that_does_not_stay_finite_counts_as_far_off():

@@ -27,6 +27,7 @@ from puma_sim_core.identify.fitting.trials import Trials
 from puma_sim_core.identify.link_side import outcome as link_outcome
 from puma_sim_core.identify.link_side.compare import compare as compare_sides
 from puma_sim_core.identify.memory import release
+from puma_sim_core.identify.noise.open_loop import RowNoise, noise_behind
 from puma_sim_core.identify.outcome import Findings, beyond_noise, compose, fault_sentence
 from puma_sim_core.identify.prepare import Prepared, prepare, silent
 from puma_sim_core.identify.report.json import report_mapping
@@ -40,13 +41,11 @@ from puma_sim_core.identify.screening.short_list import ShortList
 from puma_sim_core.identify.selection.cross_validation import CrossValidation, WeightedModel
 from puma_sim_core.identify.selection.selection import Selection
 from puma_sim_core.identify.selection.state import SelectionState
-from puma_sim_core.identify.selection.validate import NoisePair
-from puma_sim_core.identify.settings import CHECKS
+from puma_sim_core.identify.settings import CHECKS, RESIDUALS
 from puma_sim_core.identify.standing import NAMED, TIED, clearly, standings
 from puma_sim_core.jit import is_compiled
 from puma_sim_core.plant.mechanism import Mechanism
 from puma_sim_core.plant.mechanism_file import load_mechanism
-from puma_sim_core.plant.plant import Plant
 
 _NOT_HELD_OUT = "Held-out logs are not read where the two sides of transmissions are compared: blocks of the logs are."
 #: paths of CSV files or bags, or logs; one or several
@@ -257,9 +256,8 @@ class Stages:
         that: what happens once, such as a push, has no other fold to be predicted from."""
         if not any(KINDS[name].repeatable for name, _ in state.keys):
             return True
-        noise = self._noise(state.model.point.plant(self.mechanism))
-        table = self.folds.errors(self._models(state), self._floor(state), noise)["held_out"]
-        return beyond_noise(table.position_rms) is None
+        table = self.folds.errors(self._models(state), self._floor(state), self._noise(state))["held_out"]
+        return beyond_noise(table.position_rms, self._most_of_noise(state)) is None
 
     def findings(self, state: SelectionState, source: Mapping[str, str | None]) -> Findings:
         """What the stages after the validation find. source : how `explain` was called."""
@@ -268,8 +266,11 @@ class Stages:
         release()
         detectability = self.detectability(state)
         residuals, errors = self.errors(state)
+        beyond = beyond_noise(errors["held_out"].position_rms, self._most_of_noise(state))
         bias, bounds = self.feedback_bias(state), intervals.intervals(self.fit(state), state.model)
-        return Findings(self.prepared, state, curves, chance, errors, residuals, detectability, bias, bounds, source)
+        return Findings(
+            self.prepared, state, curves, chance, errors, beyond, residuals, detectability, bias, bounds, source
+        )
 
     def free_curves(self, state: SelectionState) -> tuple[SelectionState, list[Curve], float]:
         """Free curves, and their gain by chance; effects are retracted where a curve leaves clearly less than they."""
@@ -317,7 +318,7 @@ class Stages:
         plants = {name: point.plant(self.mechanism) for name, point in points.items()}
         residuals = {name: self._volts(point) for name, point in points.items()}
         floor = self._floor(state)
-        noise = self._noise(plants["augmented"])
+        noise = self._noise(state)
         tables = {"fit": self.folds.folds[0].validation.errors(plants, residuals, floor, noise)}
         tables |= self.folds.errors(models, floor, noise)
         if self.beside is not None:
@@ -330,13 +331,15 @@ class Stages:
         start = Point(self.mechanism.start, ())
         return {"nominal": start, "retuned": state.weighted_retuned, "augmented": state.weighted}
 
-    def _noise(self, plant: Plant) -> NoisePair:
-        """Noise of a row's voltage and of a position, by the innovations of a model at the rows to fit."""
+    def _noise(self, state: SelectionState, correlation: float = 0.0) -> RowNoise:
+        """Noise of rows, by the innovations of a model at the rows to fit. correlation : of the voltage's [s]."""
         p = self.predictor
-        left = np.where(p.fit_rows, p.errors(plant), np.nan)
-        volts, sensed = p.noise_behind(np.nanvar(left, axis=0), self.problem.sampled.position_noise)
-        # what a remainder leaves in the innovations is no noise, nor is all that came before a name
-        return np.minimum(volts, p.expected), sensed
+        left = np.where(p.fit_rows, p.errors(state.model.point.plant(self.mechanism)), np.nan)
+        return noise_behind(p, left, self.problem.sampled.position_noise, correlation)
+
+    def _most_of_noise(self, state: SelectionState) -> Floats:
+        """(J,) largest errors [rad or m] in open loop that noise makes, whose voltage is slow as well."""
+        return self.folds.noise_in_windows(self._noise(state, RESIDUALS.slowest_noise))
 
     def feedback_bias(self, state: SelectionState) -> FeedbackBias:
         """Whether feedback in the recording biases what was found."""

@@ -31,14 +31,15 @@ _DRAWN = ["position", "velocity", "acceleration", "voltage", "torque", "gravity_
 @dataclass(frozen=True)
 class Findings:
     """What the stages found: the selection as it ended; free curves, best first, and their gain by chance; tables of
-    errors by their rows, and (N, J) voltages [V] that the "nominal", "retuned" and "augmented" model lack; intervals
-    (effect number, parameter) -> (value, low, high); how `explain` was called."""
+    errors by their rows; `beyond_noise` of them; (N, J) voltages [V] that the "nominal", "retuned" and "augmented"
+    model lack; intervals (effect number, parameter) -> (value, low, high); how `explain` was called."""
 
     prepared: Prepared
     state: SelectionState
     curves: list[Curve]
     chance: float
     errors: dict[str, result.Errors]
+    beyond: tuple[int, float] | None
     residuals: dict[str, Floats]
     detectability: tuple[result.Detectable, ...]
     bias: result.FeedbackBias
@@ -61,7 +62,7 @@ def compose(found: Findings) -> result.Explanation:
     names = _named(found, rows)
     volts = found.errors["fit"].voltage_rms
     unnamed = remainder(s, found.curves, found.chance, np.asarray(volts.augmented) / volts.floor)
-    beyond = beyond_noise(found.errors["held_out"].position_rms)
+    beyond = found.beyond
     if unnamed is None and beyond is not None and found.curves:
         unnamed = found.curves[0]
     curve = None
@@ -94,15 +95,16 @@ def compose(found: Findings) -> result.Explanation:
     )
 
 
-def beyond_noise(errors: result.StageErrors) -> tuple[int, float] | None:
-    """The joint (1-based) whose open-loop error is most beyond what the noise makes, and their ratio; None where the
-    error of no joint is clearly beyond it.
+def beyond_noise(errors: result.StageErrors, most: Floats) -> tuple[int, float] | None:
+    """The joint (1-based) whose open-loop error is most beyond what noise makes, and their ratio; None where the error
+    of no joint is clearly beyond it.
 
-    What is called noise may be what a wrong model leaves; in open loop, over half a second, it then makes more than
-    noise would. So a log is explained down to its noise only where these errors are of its size.
+    most (J,) : the largest error that noise makes. What is called noise may be what a wrong model leaves; in open loop,
+    over half a second, it then makes more than noise would. So a log is explained down to its noise only where these
+    errors are of its size.
     """
-    floor, left = np.asarray(errors.floor), np.asarray(errors.augmented)
-    ratio = np.where(floor > 0.0, left / np.maximum(floor, 1e-300), 0.0)
+    left = np.asarray(errors.augmented)
+    ratio = np.where(most > 0.0, left / np.maximum(most, 1e-300), 0.0)
     # in a log without noise the errors of the steps are left
     ratio[~(left > RESIDUALS.open_loop_share * np.asarray(errors.nominal))] = 0.0
     if not np.nanmax(ratio, initial=0.0) > RESIDUALS.open_loop_beyond:

@@ -284,29 +284,6 @@ class Predictor:
             out.append(np.sqrt(2.0 * self.step * ratio.sum() * f[1]) * weighting.scale[j])
         return np.array(out)
 
-    def open_loop_variance(self, volts: Floats, noise: Floats, rows: int) -> Floats:
-        """(rows, J) variance [rad^2 or m^2] of a true model's positions by the rows since its last correction. volts,
-        noise (J,) : of a row's voltage [V] and of a position."""
-        out = np.empty((rows, len(self.linear)))
-        for j, (F, G, gain) in enumerate(self.linear):
-            kept = np.eye(len(F))
-            kept[:, 0] -= gain
-            driven = volts[j] ** 2 * np.outer(G, G)
-            seen = noise[j] ** 2 * np.outer(gain, gain)
-            P = kept @ stationary_covariance(F @ kept, F @ seen @ F.T + driven) @ kept.T + seen
-            for r in range(rows):
-                P = F @ P @ F.T + driven
-                out[r, j] = P[0, 0] + noise[j] ** 2
-        return out
-
-    def noise_behind(self, variance: Floats, noise: Floats) -> tuple[Floats, Floats]:
-        """(J,) noise of a row's voltage [V] and of a position behind a variance (J,) of a true model's innovations;
-        noise (J,): the greatest of a position."""
-        one, none = np.ones(len(self.linear)), np.zeros(len(self.linear))
-        driven, seen = (self.open_loop_variance(*pair, 1)[0] for pair in ((one, none), (none, one)))
-        sensed = np.minimum(noise**2, variance / seen)
-        return np.sqrt(np.maximum(variance - seen * sensed, 0.0) / driven), np.sqrt(sensed)
-
     def validated_at(self, validation: Sequence[RowChoice]) -> Predictor:
         """The same logs with another validation set, as for the constructor; derivatives are cached for both."""
         other = copy(self)
@@ -431,14 +408,6 @@ def _response(F: Floats, G: Floats, C: Floats, gain: Floats) -> Floats:
             break
         x = kept @ x
     return np.array(out)
-
-
-def stationary_covariance(A: Floats, Q: Floats) -> Floats:
-    """P = A P A' + Q of a stable A, by doubling (Smith 1968, SIAM J. Appl. Math. 16:198): a log
-    without noise makes the linear equations for P too ill-conditioned to be solved."""
-    while np.abs(A).max() > 1e-12:
-        A, Q = A @ A, Q + A @ Q @ A.T
-    return Q
 
 
 def stable_step(plant: Plant, at_most: float) -> float:

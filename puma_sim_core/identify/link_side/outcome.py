@@ -31,7 +31,7 @@ def explanation(found: Sequence[result.LinkSide], unit: str) -> result.Explanati
 
 def beyond(side: result.LinkSide) -> bool:
     """Whether what is left of a joint's difference is clearly more than the steps of its sensors."""
-    return side.held_out_after > RESIDUALS.open_loop_beyond * side.floor
+    return side.held_out_after > RESIDUALS.link_beyond * side.floor
 
 
 def sentence(side: result.LinkSide, unit: str) -> str:

@@ -17,11 +17,12 @@ import numpy as np
 from puma_sim_core.identify.arrays import Bools, Floats
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit, Slopes
 from puma_sim_core.identify.fitting.predictor import Predictor, RowChoice
+from puma_sim_core.identify.noise.open_loop import RowNoise, position_floor
 from puma_sim_core.identify.noise.weighting import Weighting
 from puma_sim_core.identify.parallel import parallel_map
 from puma_sim_core.identify.result import Errors, StageErrors
 from puma_sim_core.identify.screening.problem import Problem
-from puma_sim_core.identify.selection.validate import NoisePair, Validation, position_floor, rms
+from puma_sim_core.identify.selection.validate import Validation, rms
 from puma_sim_core.identify.settings import SCREENING, SELECTION
 from puma_sim_core.plant.plant import Plant
 
@@ -113,12 +114,12 @@ class CrossValidation:
             total -= np.inf if errors is None else fit.validation_sum(errors)
         return total
 
-    def errors(self, models: Mapping[str, WeightedModel | Point], floor: Floats, noise: NoisePair) -> dict[str, Errors]:
+    def errors(self, models: Mapping[str, WeightedModel | Point], floor: Floats, noise: RowNoise) -> dict[str, Errors]:
         """Tables of errors: "held_out" of all folds, and where there are several "unseen", of the one alone that the
         selection has not seen either.
 
         models : "nominal", "retuned", "augmented" -> the model, or a point that nothing was fitted to; floor (J,) :
-        noise of the residual [V]; noise : ((J,), (J,)), that of a row's voltage [V] and of a position [rad or m].
+        noise of the residual [V]; noise : that of rows.
         """
         points = {
             name: [m] * len(self.folds) if isinstance(m, Point) else self._points(m) for name, m in models.items()
@@ -133,13 +134,17 @@ class CrossValidation:
         """(J,) errors [rad or m] of a model, as it is, in the windows that the selection has not seen."""
         return self._windows([point])
 
-    def _table(self, points: Mapping[str, Sequence[Point]], floor: Floats, noise: NoisePair) -> Errors:
-        """Errors of models, by their points of the first of the folds."""
-        folds = self.folds[: len(points["augmented"])]
+    def noise_in_windows(self, noise: RowNoise, first: int | None = None) -> Floats:
+        """(J,) errors [rad or m] that noise alone makes in the windows of the first of the folds, None: of all."""
+        folds = self.folds[:first]
         lengths = np.concatenate([fold.validation.lengths("held_out") for fold in folds])
+        return position_floor(folds[0].predictor, lengths, noise)
+
+    def _table(self, points: Mapping[str, Sequence[Point]], floor: Floats, noise: RowNoise) -> Errors:
+        """Errors of models, by their points of the first of the folds."""
         volts = {name: self._volts(p) for name, p in points.items()}
         windows = {name: self._windows(p) for name, p in points.items()}
-        least = position_floor(folds[0].predictor, lengths, *noise)
+        least = self.noise_in_windows(noise, len(points["augmented"]))
         return Errors(StageErrors(**volts, floor=floor), StageErrors(**windows, floor=least))
 
     def _points(self, model: WeightedModel) -> list[Point]:

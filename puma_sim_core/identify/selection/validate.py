@@ -12,6 +12,7 @@ import numpy as np
 from puma_sim_core.errors import NonFiniteStateError
 from puma_sim_core.identify.arrays import Bools, Floats, runs
 from puma_sim_core.identify.fitting.predictor import Predictor
+from puma_sim_core.identify.noise.open_loop import RowNoise, position_floor
 from puma_sim_core.identify.parallel import parallel_map
 from puma_sim_core.identify.result import Errors, StageErrors
 from puma_sim_core.identify.screening.problem import Problem
@@ -20,8 +21,6 @@ from puma_sim_core.plant.plant import Plant
 
 #: windows are run in so many turns, so that before each the predictor has its length to come back
 _TURNS = round(2.0 * SELECTION.window / SELECTION.window_distance)
-#: noise (J,) of a row's voltage [V], and of a position [rad or m]
-NoisePair = tuple[Floats, Floats]
 
 
 class Validation:
@@ -71,34 +70,21 @@ class Validation:
         return self.predictor.in_volts(errors, self.problem.sampled.cutoffs[1])
 
     def errors(
-        self, plants: Mapping[str, Plant], residuals: Mapping[str, Floats], floor: Floats, noise: NoisePair
+        self, plants: Mapping[str, Plant], residuals: Mapping[str, Floats], floor: Floats, noise: RowNoise
     ) -> Errors:
         """The table of errors of the rows that were fitted.
 
         plants, residuals : "nominal", "retuned", "augmented" -> plant, and `volts` of it; floor
-        (J,): noise of the residual [V]; noise: ((J,), (J,)), as for `position_floor`.
+        (J,): noise of the residual [V]; noise : that of rows.
         """
         volts = {name: rms(values, self.predictor.fit_rows) for name, values in residuals.items()}
         windows = {name: rms(self.window_errors(plant, "fit")) for name, plant in plants.items()}
-        least = position_floor(self.predictor, self.lengths("fit"), *noise)
+        least = position_floor(self.predictor, self.lengths("fit"), noise)
         return Errors(StageErrors(**volts, floor=floor), StageErrors(**windows, floor=least))
 
     def lengths(self, key: str) -> Floats:
         """(w,) rows of each window."""
         return np.array([rows.stop - rows.start for turn in self.turns[key] for _, rows in turn], dtype=int)
-
-
-def position_floor(predictor: Predictor, lengths: Floats, volts: Floats, noise: Floats) -> Floats:
-    """(J,) root mean square error [rad or m] that noise alone makes in windows, NaN without any.
-
-    lengths (w,) : rows of the windows; volts, noise (J,) : of a row's voltage [V] and of a position [rad or m], before
-    the start of a window, which they make uncertain, and after it.
-    """
-    if not len(lengths):
-        return np.full(len(noise), np.nan)
-    spread = predictor.open_loop_variance(volts, noise, int(lengths.max()))
-    total = np.cumsum(spread, axis=0)[lengths - 1].sum(axis=0)
-    return np.sqrt(total / lengths.sum())
 
 
 def rms(values: Floats, rows: Bools | None = None) -> Floats:
