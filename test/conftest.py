@@ -23,6 +23,9 @@ settings.load_profile("project")
 
 # a shell's background job ignores Ctrl-C, and so would all programs that tests start and interrupt
 signal.signal(signal.SIGINT, signal.default_int_handler)
+# and behind nohup a hangup; a handler of Python's is none in the programs that are started
+if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+    signal.signal(signal.SIGHUP, lambda *_: None)
 
 #: files whose long tests take longest, the longest first: they are dealt out first, to and fro
 LONGEST = (

@@ -163,7 +163,9 @@ def test_logs_for_validation_are_predicted_as_they_are():
     model = WeightedModel(Fitted(point, np.zeros((0, 1)), 0.0, ()), weighting)
     assert folds._points(model) == [point]
     assert set(
-        folds.errors({"nominal": point, "retuned": model, "augmented": model}, np.ones(1), (np.ones(1), np.ones(1)))
+        folds.errors(
+            {"nominal": point, "retuned": model, "augmented": model}, np.ones(1), RowNoise(np.ones(1), np.ones(1))
+        )
     ) == {"held_out"}
 
 

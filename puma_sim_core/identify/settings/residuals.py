@@ -47,9 +47,9 @@ class Residuals:
     # --- verdict (`verdict`, `outcome`)
     least_remainder: float = 20.0  #: gain [nat] of a remainder [calibrated]
     remainder_share: float = 0.003  #: of the first effect's gain, where the residual is near its floor [calibrated]
-    #: open-loop error over the largest that noise makes from which a log is not explained; right ones with nothing
-    #: missing on seeds 2300 to 2329 reach 2.2 [calibrated]
-    open_loop_beyond: float = 4.0
+    #: open-loop error over what noise makes from which a log is not explained: between 4.9, the most of a right answer
+    #: (a log of counts, test_excite; 2.2 on seeds 2300 to 2329), and 9.8, gravity_compensation's [calibrated]
+    open_loop_beyond: float = 7.0
     #: longest correlation of a voltage that counts as noise there [s]: a tenth of a window, in which what is slower is
     #: all but a constant, which a model should have
     slowest_noise: float = 0.05
