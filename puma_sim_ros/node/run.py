@@ -31,7 +31,7 @@ def main(args: list[str] | None = None) -> int:
 
     try:
         _heed(at_once)
-        with _said_of_nothing(_Stopped), ros_started(args):
+        with _silent_about(_Stopped), ros_started(args):
             node = SimNode()
             try:
                 # from here on, Python's own handler could interrupt a record of the bag
@@ -50,7 +50,7 @@ def main(args: list[str] | None = None) -> int:
 
 
 @contextlib.contextmanager
-def _said_of_nothing(kind: type[BaseException]) -> Iterator[None]:
+def _silent_about(kind: type[BaseException]) -> Iterator[None]:
     """Print no traceback of an exception of this kind that Python cannot hand on, from a callback of its memory."""
     before = sys.unraisablehook
 
