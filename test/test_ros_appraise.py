@@ -8,6 +8,7 @@ import json
 import os
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -19,12 +20,15 @@ pytest.importorskip("rclpy")
 
 from misbehaving_process import WAYS
 from ros_support import PATIENCE, Peer, arguments, environment
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import Trigger
 
 from puma_sim_core.appraisal.battery import Battery, Group
 from puma_sim_core.appraisal.controllers import make
 from puma_sim_core.appraisal.margins.linearisation import linear_margins
 from puma_sim_core.appraisal.margins.margins import margin_measures
 from puma_sim_core.appraisal.measures import measure
+from puma_sim_core.appraisal.settings import Patience
 from puma_sim_core.appraisal.trials.trial import Trial
 from puma_sim_core.appraisal.work import conditions_of
 from puma_sim_core.arm.parameters import load_parameters
@@ -34,6 +38,7 @@ from puma_sim_core.recording.bag import read_bag
 from puma_sim_core.resources import config_path
 from puma_sim_core.simulation.replay import replay
 from puma_sim_ros.appraisal.command import Running
+from puma_sim_ros.appraisal.topics import Topics
 from puma_sim_ros.appraise import battery_of, values_of
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -272,3 +277,53 @@ def test_somebody_else_who_sends_commands_is_named(tmp_path):
         errors = ended(start(tmp_path / "board", 4, **ONE), 2)
     assert "somebody sends commands; expected another namespace" in errors
     assert not (tmp_path / "board").exists()
+
+
+class Counting:
+    """A controller in another participant, in a thread: it answers each state with how many it has had since `reset`,
+    a service that is seen only a while after the first answer, as on a busy machine."""
+
+    def __init__(self, namespace: str) -> None:
+        self.peer = Peer(namespace, name="counting")
+        self.peer.on_state = self.answer
+        self.states, self.service, self.made_at = 0, None, float("inf")
+        self.stop = threading.Event()
+        self.thread = threading.Thread(target=self.spin)
+
+    def spin(self) -> None:
+        while not self.stop.is_set():
+            self.peer.executor.spin_once(timeout_sec=0.02)
+            if self.service is None and time.monotonic() > self.made_at:
+                self.service = self.peer.node.create_service(Trigger, "~/reset", self.reset)
+
+    def answer(self, _state) -> None:
+        self.states += 1
+        self.made_at = min(self.made_at, time.monotonic() + 0.5)
+        self.peer.commands.publish(Float64MultiArray(data=[float(self.states)] * 3))
+
+    def reset(self, _request, response):
+        self.states, response.success = 0, True
+        return response
+
+    def __enter__(self):
+        self.thread.start()
+        return self
+
+    def __exit__(self, *_exception) -> None:
+        self.stop.set()
+        self.thread.join()
+        self.peer.close()
+
+
+def test_a_service_that_is_seen_late_resets_all_the_same():
+    namespace, reference = f"/appraise{os.getpid()}_5", np.zeros((1, 3))
+    with Counting(namespace), Peer(namespace, interface=None, name="appraisal") as own:
+        own.executor.remove_node(own.node)
+        topics = Topics(own.node, ["joint1", "joint2", "joint3"], Patience(answer=PATIENCE, start=PATIENCE))
+        topics.listen("voltage")
+        topics.connect(reference, str)
+        answers = []
+        for _ in range(2):
+            topics.begin(reference)
+            answers += [topics.ask(0.0, reference[0], reference[0]) for _ in range(2)]
+    assert answers == 2 * [(1.0, 1.0, 1.0), (2.0, 2.0, 2.0)]

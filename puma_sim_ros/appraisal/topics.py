@@ -24,8 +24,9 @@ STATES, SETPOINTS, REFERENCE = "joint_states", "setpoint", "reference"
 #: commands that wait: as many as a process that answers more than once may send before it is found out
 _DEPTH = 100
 #: seconds between two looks at whether the process lives; between two first states; after which no more answers to them
-#: come, which all wait at the same time; for answers that nobody asked for
-_LOOK, _AGAIN, _QUIET, _EXTRA = 0.1, 1.0, 2.0, 0.005
+#: come, which all wait at the same time; in which the service of a node whose name is known shows itself, for the
+#: middleware tells of each by itself; for answers that nobody asked for
+_LOOK, _AGAIN, _QUIET, _RESET, _EXTRA = 0.1, 1.0, 2.0, 2.0, 0.005
 _NS = 1_000_000_000
 
 
@@ -109,8 +110,8 @@ class Topics:
             self._spin(_LOOK)
             if len(self._answers) > there:
                 there, since = len(self._answers), time.monotonic()
-        self._answers.clear()
         self._reset = self._found_reset()
+        self._answers.clear()
 
     def _is_met(self) -> bool:
         """Whether the process has its publisher and its subscription."""
@@ -124,19 +125,21 @@ class Topics:
         return tuple(info.endpoint_gid) not in self._gone
 
     def _found_reset(self):
-        """A client of the service ``~/reset`` of the node that sends commands, if it has one."""
-        patience = time.monotonic() + self._patience.answer
-        senders = list(filter(self._new, self._senders()))
-        while any(info.node_name == UNKNOWN for info in senders) and time.monotonic() < patience:
-            self._spin(0.01)
+        """A client of the service ``~/reset`` of the node that sends commands; None where none shows itself in time."""
+        since, known = time.monotonic(), False
+        while time.monotonic() < since + (_RESET if known else self._patience.answer):
             senders = list(filter(self._new, self._senders()))
-        for info in (info for info in senders if info.node_name != UNKNOWN):
-            own = f"{info.node_namespace.rstrip('/')}/{info.node_name}/reset"
-            for name, types in self._node.get_service_names_and_types_by_node(info.node_name, info.node_namespace):
-                if name == own and "std_srvs/srv/Trigger" in types:
-                    client = self._node.create_client(Trigger, name)
-                    client.wait_for_service(self._patience.answer)
-                    return client
+            named = [info for info in senders if info.node_name != UNKNOWN]
+            for info in named:
+                own = f"{info.node_namespace.rstrip('/')}/{info.node_name}/reset"
+                for name, types in self._node.get_service_names_and_types_by_node(info.node_name, info.node_namespace):
+                    if name == own and "std_srvs/srv/Trigger" in types:
+                        client = self._node.create_client(Trigger, name)
+                        client.wait_for_service(self._patience.answer)
+                        return client
+            if not known and len(named) == len(senders):
+                since, known = time.monotonic(), True
+            self._spin(_LOOK)
         return None
 
     def leave(self) -> None:
