@@ -12,7 +12,7 @@ from scipy.optimize import minimize_scalar
 
 from puma_sim_core.effects import Effect, parse_effect
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
-from puma_sim_core.identify.noise.open_loop import RowNoise
+from puma_sim_core.identify.noise.open_loop import NoiseFloor
 from puma_sim_core.identify.screening.problem import Problem
 from puma_sim_core.identify.selection.cross_validation import CrossValidation, Fold, WeightedModel
 from puma_sim_core.identify.selection.validate import Validation
@@ -20,6 +20,11 @@ from puma_sim_core.plant.mechanism_file import load_mechanism
 
 pytestmark = pytest.mark.long
 NOISE = 0.05
+
+
+def ones(rows):
+    """A spread of one joint."""
+    return np.ones((rows, 1))
 
 
 def fits(*true, place=0.5):
@@ -123,7 +128,7 @@ def test_the_errors_are_those_of_all_windows_together():
     assert np.allclose(folds.position_rms(model), together, rtol=1e-12)
     start = Point(folds.folds[0].predictor.mechanism.start, ())
     models = {"nominal": start, "retuned": model, "augmented": model}
-    tables = folds.errors(models, np.array([0.1]), RowNoise(np.array([NOISE]), np.array([1e-5])))
+    tables = folds.errors(models, NoiseFloor(np.array([0.1]), ones))
     assert np.array_equal(tables["held_out"].position_rms.augmented, folds.position_rms(model))
     assert np.array_equal(tables["unseen"].position_rms.retuned, folds.unseen(model.fitted.point))
     assert np.array_equal(tables["unseen"].position_rms.nominal, folds.unseen(start))
@@ -163,9 +168,7 @@ def test_logs_for_validation_are_predicted_as_they_are():
     model = WeightedModel(Fitted(point, np.zeros((0, 1)), 0.0, ()), weighting)
     assert folds._points(model) == [point]
     assert set(
-        folds.errors(
-            {"nominal": point, "retuned": model, "augmented": model}, np.ones(1), RowNoise(np.ones(1), np.ones(1))
-        )
+        folds.errors({"nominal": point, "retuned": model, "augmented": model}, NoiseFloor(np.ones(1), ones))
     ) == {"held_out"}
 
 

@@ -5,18 +5,29 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 from loop_logs import SECONDS, STEP, record, validation
 from mechanism_support import NAMES
 from scipy.linalg import solve_discrete_lyapunov
+from scipy.signal import lfilter
 
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.data.sampling import sample
 from puma_sim_core.identify.fitting.predictor import stable_step
-from puma_sim_core.identify.noise.open_loop import noise_behind, position_floor, stationary_covariance
+from puma_sim_core.identify.noise.innovations import weighting
+from puma_sim_core.identify.noise.open_loop import (
+    RowNoise,
+    noise_behind,
+    position_floor,
+    stationary_covariance,
+    variance_of_innovations,
+    variance_of_rows,
+)
+from puma_sim_core.identify.noise.weighting import Weighting
 from puma_sim_core.identify.screening.problem import Problem
 from puma_sim_core.identify.selection.validate import rms
 from puma_sim_core.identify.settings import SELECTION
@@ -152,6 +163,11 @@ def test_what_noise_settles_at_solves_its_equation(radius):
     assert np.allclose(P, solve_discrete_lyapunov(A, B @ B.T), rtol=1e-9)
 
 
+def floor_of_rows(seen, noise, key="fit"):
+    """(J,) errors that noise of rows makes in windows."""
+    return position_floor(seen.lengths(key), partial(variance_of_rows, seen.predictor, noise))
+
+
 def of_rows(seen, plant):
     """(N, J) innovations of a plant at the rows to fit."""
     return np.where(seen.predictor.fit_rows, seen.predictor.errors(plant), np.nan)
@@ -171,8 +187,7 @@ def test_the_floor_is_what_a_true_model_reaches(correlation):
         assert (found.volts < room * volts).all() and (found.volts > volts / room).all()
         assert (found.position <= noise).all() and (found.position > 0.8 * noise).all()
         for key in ("fit", "held_out"):
-            floor = position_floor(seen.predictor, seen.lengths(key), found)
-            ratio = rms(seen.window_errors(mechanism.plant(), key)) / floor
+            ratio = rms(seen.window_errors(mechanism.plant(), key)) / floor_of_rows(seen, found, key)
             assert (ratio > 1.0 / room).all() and (ratio < room).all()
 
 
@@ -181,7 +196,7 @@ def test_of_noises_behind_the_same_innovations_the_slower_makes_more_in_open_loo
     seen = validation(mechanism, record(mechanism, mechanism.plant(), 0.3, 5e-5, correlation=0.04), 0.3, 5e-5)
     left = of_rows(seen, mechanism.plant())
     floors = [
-        position_floor(seen.predictor, seen.lengths("fit"), noise_behind(seen.predictor, left, np.full(3, 5e-5), T))
+        floor_of_rows(seen, noise_behind(seen.predictor, left, np.full(3, 5e-5), T))
         for T in (0.0, 0.01, 0.02, 0.04, 0.08)
     ]
     assert (np.diff(floors, axis=0) > 0.0).all()
@@ -195,9 +210,47 @@ def test_a_voltage_of_correlation_zero_is_white():
     left, sensed = of_rows(seen, mechanism.plant()), np.array([1e-5])
     white, fast = (noise_behind(seen.predictor, left, sensed, T) for T in (0.0, 1e-3 * STEP))
     assert np.allclose(white.volts, fast.volts, rtol=1e-12) and np.array_equal(white.position, fast.position)
-    lengths = seen.lengths("fit")
-    both = [position_floor(seen.predictor, lengths, noise) for noise in (white, fast)]
+    both = [floor_of_rows(seen, noise) for noise in (white, fast)]
     assert np.allclose(*both, rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_innovations_of_the_noise_that_the_gain_is_made_for_spread_as_that_noise(name):
+    mechanism = load_mechanism(name)
+    volts, sensed = 0.02, 1e-5
+    p = validation(mechanism, record(mechanism, mechanism.plant()), volts, sensed).predictor
+    J = mechanism.joints
+    white = Weighting(np.ones((J, 1)), np.array(p.spread), p.lengths)
+    of_noise = RowNoise(p.volts, np.full(J, sensed))
+    assert np.allclose(variance_of_innovations(p, white, 300), variance_of_rows(p, of_noise, 300), rtol=1e-3)
+
+
+def test_the_spread_of_coloured_innovations_is_that_of_simulated_ones():
+    mechanism = load_mechanism("pendulum")
+    p = validation(mechanism, record(mechanism, mechanism.plant()), 0.02, 1e-5).predictor
+    taps, rows, runs = np.array([[1.0, -1.2, 0.5]]), 60, 4000
+    noise = Weighting(taps, np.array([2.0]), p.lengths)
+    (F, _, gain), rng = p.linear[0], np.random.default_rng(5)
+    e = lfilter([2.0], taps[0], rng.standard_normal((runs, 200 + rows)), axis=1)[:, 200:]
+    x, seen = np.zeros((runs, len(F))), np.empty((runs, rows))
+    for m in range(rows):
+        seen[:, m] = x[:, 0] + e[:, m]
+        x = (x + e[:, m, None] * gain) @ F.T
+    expected = variance_of_innovations(p, noise, rows)[:, 0]
+    # five standard errors of a variance
+    assert np.abs((seen**2).mean(axis=0) / expected - 1.0).max() < 5.0 * np.sqrt(2.0 / runs)
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.04])
+def test_the_floor_of_the_noise_of_a_fit_is_what_a_true_model_reaches(correlation):
+    mechanism = load_mechanism()
+    log = record(mechanism, mechanism.plant(), 0.3, 5e-5, seconds=40.0, correlation=correlation)
+    seen = validation(mechanism, log, 0.3, 5e-5)
+    noise = weighting(seen.predictor, seen.predictor.errors(mechanism.plant()))
+    for key in ("fit", "held_out"):
+        floor = position_floor(seen.lengths(key), partial(variance_of_innovations, seen.predictor, noise))
+        ratio = rms(seen.window_errors(mechanism.plant(), key)) / floor
+        assert (ratio > 1.0 / 1.6).all() and (ratio < 1.6).all()
 
 
 def test_no_more_is_noise_than_changes_from_row_to_row_allow():

@@ -27,7 +27,7 @@ from puma_sim_core.identify.fitting.trials import Trials
 from puma_sim_core.identify.link_side import outcome as link_outcome
 from puma_sim_core.identify.link_side.compare import compare as compare_sides
 from puma_sim_core.identify.memory import release
-from puma_sim_core.identify.noise.open_loop import RowNoise, noise_behind
+from puma_sim_core.identify.noise.open_loop import NoiseFloor, noise_behind, variance_of_innovations
 from puma_sim_core.identify.outcome import Findings, beyond_noise, compose, fault_sentence
 from puma_sim_core.identify.prepare import Prepared, prepare, silent
 from puma_sim_core.identify.report.json import report_mapping
@@ -256,7 +256,7 @@ class Stages:
         that: what happens once, such as a push, has no other fold to be predicted from."""
         if not any(KINDS[name].repeatable for name, _ in state.keys):
             return True
-        table = self.folds.errors(self._models(state), self._floor(state), self._noise(state))["held_out"]
+        table = self.folds.errors(self._models(state), self._floor(state))["held_out"]
         return beyond_noise(table.position_rms, self._most_of_noise(state)) is None
 
     def findings(self, state: SelectionState, source: Mapping[str, str | None]) -> Findings:
@@ -318,12 +318,11 @@ class Stages:
         plants = {name: point.plant(self.mechanism) for name, point in points.items()}
         residuals = {name: self._volts(point) for name, point in points.items()}
         floor = self._floor(state)
-        noise = self._noise(state)
-        tables = {"fit": self.folds.folds[0].validation.errors(plants, residuals, floor, noise)}
-        tables |= self.folds.errors(models, floor, noise)
+        tables = {"fit": self.folds.folds[0].validation.errors(plants, residuals, floor)}
+        tables |= self.folds.errors(models, floor)
         if self.beside is not None:
             beside = CrossValidation.of(self.beside.problem, self.beside.predictor, self.prepared.validation)
-            tables["held_out_logs"] = beside.errors(models, floor, noise)["held_out"]
+            tables["held_out_logs"] = beside.errors(models, floor)["held_out"]
         return residuals, tables
 
     def _models(self, state: SelectionState) -> dict[str, WeightedModel | Point]:
@@ -331,15 +330,12 @@ class Stages:
         start = Point(self.mechanism.start, ())
         return {"nominal": start, "retuned": state.weighted_retuned, "augmented": state.weighted}
 
-    def _noise(self, state: SelectionState, correlation: float = 0.0) -> RowNoise:
-        """Noise of rows, by the innovations of a model at the rows to fit. correlation : of the voltage's [s]."""
+    def _most_of_noise(self, state: SelectionState) -> Floats:
+        """(J,) largest errors [rad or m] in open loop that noise makes, whose voltage is as slow as noise may be."""
         p = self.predictor
         left = np.where(p.fit_rows, p.errors(state.model.point.plant(self.mechanism)), np.nan)
-        return noise_behind(p, left, self.problem.sampled.position_noise, correlation)
-
-    def _most_of_noise(self, state: SelectionState) -> Floats:
-        """(J,) largest errors [rad or m] in open loop that noise makes, whose voltage is slow as well."""
-        return self.folds.noise_in_windows(self._noise(state, RESIDUALS.slowest_noise))
+        slow = noise_behind(p, left, self.problem.sampled.position_noise, RESIDUALS.slowest_noise)
+        return self.folds.noise_in_windows(slow)
 
     def feedback_bias(self, state: SelectionState) -> FeedbackBias:
         """Whether feedback in the recording biases what was found."""
@@ -350,9 +346,11 @@ class Stages:
         """(N, J) voltages [V] that a model lacks."""
         return self.folds.folds[0].validation.volts(point.plant(self.mechanism))
 
-    def _floor(self, state: SelectionState) -> Floats:
-        """(J,) noise of the residual [V], as the weighting of the innovations has it."""
-        return self.predictor.floor_in_volts(self.problem.sampled.cutoffs[1], state.noise)
+    def _floor(self, state: SelectionState) -> NoiseFloor:
+        """What the noise leaves, as the weighting of the innovations has it."""
+        p, noise = self.predictor, state.noise
+        volts = p.floor_in_volts(self.problem.sampled.cutoffs[1], noise)
+        return NoiseFloor(volts, partial(variance_of_innovations, p, noise))
 
 
 def _joint(doubt: Fault) -> int:

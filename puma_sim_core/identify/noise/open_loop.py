@@ -1,8 +1,15 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """What noise makes of the errors of a true model in open loop.
 
-The noise is that of a voltage and of a position. A voltage w of row k with the correlation time T is a process of first
-order, of rows a step h apart,
+Noise that is known by the innovations e that it makes goes into open loop as they do. A joint by itself has
+x_{k+1} = F (x_k + K e_k) and y_k = C x_k + e_k, so the error m rows after the last correction is
+
+    d_m = g_0 e_m + g_1 e_{m-1} + ... + g_m e_0,    g_0 = 1, g_i = C F^i K
+
+and its variance a sum over the autocovariance r of the innovations.
+
+Noise of rows is that of a voltage and of a position. A voltage w of row k with the correlation time T is a process of
+first order, of rows a step h apart,
 
     w_{k+1} = rho w_k + (1 - rho^2)^(1/2) v_k,    rho = exp(-h / T)
 
@@ -10,13 +17,26 @@ with v white; T = 0 is a white voltage. The longer the correlation, the less of 
 the more of it is left in open loop: of two noises that make the same innovations, the slower makes larger errors there.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
+from scipy import fft
 
 from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.fitting.predictor import Predictor
+from puma_sim_core.identify.noise.weighting import Weighting, folded_response
+from puma_sim_core.identify.settings import FITTING
+
+#: rows -> (rows, J) variance [rad^2 or m^2] of a true model's positions by the rows since its last correction
+Spread = Callable[[int], Floats]
+
+
+class NoiseFloor(NamedTuple):
+    """Errors of a true model: (J,) of voltages [V], root mean square, and the spread of positions."""
+
+    volts: Floats
+    spread: Spread
 
 
 class RowNoise(NamedTuple):
@@ -44,15 +64,36 @@ def noise_behind(predictor: Predictor, innovations: Floats, position: Floats, co
     return RowNoise(np.minimum(volts, most), np.sqrt(sensed), correlation)
 
 
-def position_floor(predictor: Predictor, lengths: Floats, noise: RowNoise) -> Floats:
+def position_floor(lengths: Floats, spread: Spread) -> Floats:
     """(J,) root mean square error [rad or m] that noise alone makes in windows, NaN without any.
 
     lengths (w,) : rows of the windows, which begin at an observer's state that the noise makes uncertain.
     """
     if not len(lengths):
-        return np.full(len(noise.position), np.nan)
-    spread = variance_of_rows(predictor, noise, int(lengths.max()))
-    return np.sqrt(np.cumsum(spread, axis=0)[lengths - 1].sum(axis=0) / lengths.sum())
+        return np.full(spread(1).shape[1], np.nan)
+    return np.sqrt(np.cumsum(spread(int(lengths.max())), axis=0)[lengths - 1].sum(axis=0) / lengths.sum())
+
+
+def variance_of_innovations(predictor: Predictor, noise: Weighting, rows: int) -> Floats:
+    """(rows, J) variance [rad^2 or m^2] of a true model's positions by the rows since its last correction, where a
+    weighting makes its innovations white."""
+    columns = []
+    # finer than any source of noise is narrow
+    finest = max(2 * (FITTING.spectrum_points - 1), 2 * noise.filters.shape[1], 4 * rows)
+    size = fft.next_fast_len(finest, real=True)
+    for (F, _, gain), taps, scale in zip(predictor.linear, noise.filters, noise.scale):
+        r = fft.irfft((scale / np.abs(folded_response(taps, size))) ** 2, size)[:rows]
+        g = np.array([1.0, *_powers(F, gain, rows - 1)])
+        before = np.concatenate([[0.0], np.convolve(g, r[1:])[: rows - 1]])
+        columns.append(np.cumsum(2.0 * g * before + g**2 * r[0]))
+    return np.column_stack(columns)
+
+
+def _powers(F: Floats, gain: Floats, rows: int) -> Iterator[float]:
+    x = gain
+    for _ in range(rows):
+        x = F @ x
+        yield x[0]
 
 
 def variance_of_rows(predictor: Predictor, noise: RowNoise, rows: int) -> Floats:

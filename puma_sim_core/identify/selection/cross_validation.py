@@ -11,13 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from puma_sim_core.identify.arrays import Bools, Floats
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit, Slopes
 from puma_sim_core.identify.fitting.predictor import Predictor, RowChoice
-from puma_sim_core.identify.noise.open_loop import RowNoise, position_floor
+from puma_sim_core.identify.noise.open_loop import NoiseFloor, RowNoise, Spread, position_floor, variance_of_rows
 from puma_sim_core.identify.noise.weighting import Weighting
 from puma_sim_core.identify.parallel import parallel_map
 from puma_sim_core.identify.result import Errors, StageErrors
@@ -114,38 +115,41 @@ class CrossValidation:
             total -= np.inf if errors is None else fit.validation_sum(errors)
         return total
 
-    def errors(self, models: Mapping[str, WeightedModel | Point], floor: Floats, noise: RowNoise) -> dict[str, Errors]:
+    def errors(self, models: Mapping[str, WeightedModel | Point], floor: NoiseFloor) -> dict[str, Errors]:
         """Tables of errors: "held_out" of all folds, and where there are several "unseen", of the one alone that the
         selection has not seen either.
 
-        models : "nominal", "retuned", "augmented" -> the model, or a point that nothing was fitted to; floor (J,) :
-        noise of the residual [V]; noise : that of rows.
+        models : "nominal", "retuned", "augmented" -> the model, or a point that nothing was fitted to; floor : what
+        the noise of the fit leaves.
         """
         points = {
             name: [m] * len(self.folds) if isinstance(m, Point) else self._points(m) for name, m in models.items()
         }
-        tables = {"held_out": self._table(points, floor, noise)}
+        tables = {"held_out": self._table(points, floor)}
         if len(self.folds) > 1:
             first = {name: p[:1] for name, p in points.items()}
-            tables["unseen"] = self._table(first, floor, noise)
+            tables["unseen"] = self._table(first, floor)
         return tables
 
     def unseen(self, point: Point) -> Floats:
         """(J,) errors [rad or m] of a model, as it is, in the windows that the selection has not seen."""
         return self._windows([point])
 
-    def noise_in_windows(self, noise: RowNoise, first: int | None = None) -> Floats:
-        """(J,) errors [rad or m] that noise alone makes in the windows of the first of the folds, None: of all."""
-        folds = self.folds[:first]
-        lengths = np.concatenate([fold.validation.lengths("held_out") for fold in folds])
-        return position_floor(folds[0].predictor, lengths, noise)
+    def noise_in_windows(self, noise: RowNoise) -> Floats:
+        """(J,) errors [rad or m] that noise of rows alone makes in the windows of all folds."""
+        return self._floor(partial(variance_of_rows, self.folds[0].predictor, noise), len(self.folds))
 
-    def _table(self, points: Mapping[str, Sequence[Point]], floor: Floats, noise: RowNoise) -> Errors:
+    def _floor(self, spread: Spread, folds: int) -> Floats:
+        """(J,) errors [rad or m] that noise alone makes in the windows of the first of the folds."""
+        lengths = [fold.validation.lengths("held_out") for fold in self.folds[:folds]]
+        return position_floor(np.concatenate(lengths), spread)
+
+    def _table(self, points: Mapping[str, Sequence[Point]], floor: NoiseFloor) -> Errors:
         """Errors of models, by their points of the first of the folds."""
         volts = {name: self._volts(p) for name, p in points.items()}
         windows = {name: self._windows(p) for name, p in points.items()}
-        least = self.noise_in_windows(noise, len(points["augmented"]))
-        return Errors(StageErrors(**volts, floor=floor), StageErrors(**windows, floor=least))
+        least = self._floor(floor.spread, len(points["augmented"]))
+        return Errors(StageErrors(**volts, floor=floor.volts), StageErrors(**windows, floor=least))
 
     def _points(self, model: WeightedModel) -> list[Point]:
         """The model as fitted without each of the folds."""

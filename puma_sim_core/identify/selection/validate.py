@@ -12,7 +12,7 @@ import numpy as np
 from puma_sim_core.errors import NonFiniteStateError
 from puma_sim_core.identify.arrays import Bools, Floats, runs
 from puma_sim_core.identify.fitting.predictor import Predictor
-from puma_sim_core.identify.noise.open_loop import RowNoise, position_floor
+from puma_sim_core.identify.noise.open_loop import NoiseFloor, position_floor
 from puma_sim_core.identify.parallel import parallel_map
 from puma_sim_core.identify.result import Errors, StageErrors
 from puma_sim_core.identify.screening.problem import Problem
@@ -69,18 +69,16 @@ class Validation:
             errors = np.full(self.predictor.fit_rows.shape, np.nan)
         return self.predictor.in_volts(errors, self.problem.sampled.cutoffs[1])
 
-    def errors(
-        self, plants: Mapping[str, Plant], residuals: Mapping[str, Floats], floor: Floats, noise: RowNoise
-    ) -> Errors:
+    def errors(self, plants: Mapping[str, Plant], residuals: Mapping[str, Floats], floor: NoiseFloor) -> Errors:
         """The table of errors of the rows that were fitted.
 
-        plants, residuals : "nominal", "retuned", "augmented" -> plant, and `volts` of it; floor
-        (J,): noise of the residual [V]; noise : that of rows.
+        plants, residuals : "nominal", "retuned", "augmented" -> plant, and `volts` of it; floor : what
+        the noise of the fit leaves.
         """
         volts = {name: rms(values, self.predictor.fit_rows) for name, values in residuals.items()}
         windows = {name: rms(self.window_errors(plant, "fit")) for name, plant in plants.items()}
-        least = position_floor(self.predictor, self.lengths("fit"), noise)
-        return Errors(StageErrors(**volts, floor=floor), StageErrors(**windows, floor=least))
+        least = position_floor(self.lengths("fit"), floor.spread)
+        return Errors(StageErrors(**volts, floor=floor.volts), StageErrors(**windows, floor=least))
 
     def lengths(self, key: str) -> Floats:
         """(w,) rows of each window."""
