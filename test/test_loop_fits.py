@@ -16,8 +16,8 @@ from puma_sim_core.effects import KINDS, Effect, parse_effect
 from puma_sim_core.errors import NonFiniteStateError
 from puma_sim_core.identify import explain
 from puma_sim_core.identify.fitting.intervals import intervals
-from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit, Slopes, bounded_step
-from puma_sim_core.identify.fitting.trials import Base, Trial, Trials
+from puma_sim_core.identify.fitting.prediction import Point, PredictionFit, Slopes, bounded_step
+from puma_sim_core.identify.fitting.trials import Base, Trials
 from puma_sim_core.identify.prepare import runnable
 from puma_sim_core.identify.screening.evidence import Scored
 from puma_sim_core.identify.selection.refits import Refits
@@ -396,44 +396,3 @@ def test_a_step_to_a_model_is_the_one_that_leads_there():
     other = fit.stepped(point, step, pairs, sizes)
     assert fit.step_to(point, other, pairs, sizes) == pytest.approx(step, rel=1e-9)
     assert other.effects[1].values["current"] != 2.0
-
-
-def held(base, name, **values):
-    """The trial of dry friction that holds the joint, so that no slope sees anything of it."""
-    scored = Scored(name, 1, 0.0, values=values)
-    effect = Effect(KINDS[name], 1, values)
-    point = base.with_effect(effect)
-    errors = base.fit.errors(point)
-    at = Fitted(point, errors, base.fit.objective(errors, point), tuple((0, each) for each in values))
-    return Trial(scored, base.model.objective - at.objective, 0.0, at, 0.0)
-
-
-def test_a_level_that_holds_the_joint_is_sought_among_those_that_machines_have():
-    base, trials, state = lacking(parse_effect("coulomb_friction:joint=1,torque=0.05"))
-    stuck = held(base, "coulomb_friction", torque=2.0)
-    assert stuck.gain < 0.0
-    refits = Refits(trials, KINDS)
-    (found,) = refits.from_levels(replace(state, trials=(stuck,))).trials
-    assert found.gain > 100.0 and found.effect.values["torque"] == pytest.approx(0.05, rel=0.1)
-    # what gains enough for a name stays
-    assert refits.from_levels(replace(state, trials=(found,))).trials == (found,)
-    # and what contains it begins from there
-    wide = held(base, "asymmetric_coulomb_friction", positive=2.0, negative=2.0)
-    _, freed = refits.from_nested(replace(state, trials=(found, wide))).trials
-    assert wide.gain < 0.0 and freed.model.objective < found.model.objective + 1.0
-
-
-def test_no_level_is_found_where_no_dry_friction_is():
-    base, trials, _ = lacking(parse_effect("voltage_offset:joint=1,voltage=0.1"))
-    scored = Scored("coulomb_friction", 1, 0.0, values={"torque": 2.0})
-    assert trials.best_level(base, scored, {"torque": float(PENDULUM.torque_scale[0])}) is None
-
-
-def test_a_gap_beyond_all_that_are_tried_at_first_is_found():
-    true = parse_effect("backlash:joint=1,gap=0.0077,stiffness=2000,damping=1.0")
-    base, trials, _ = lacking(true)
-    grid = SimpleNamespace(entry=SimpleNamespace(candidate=SimpleNamespace(fixed=True)))
-    values = {"gap": 0.002, "stiffness": 2000.0, "damping": 1.0}
-    assert max(FITTING.threshold_starts) * values["gap"] < 0.4 * true.values["gap"]
-    found = trials.run(base, Scored("backlash", 1, 0.0, best=grid, values=values))
-    assert found.effect.values["gap"] == pytest.approx(true.values["gap"], rel=0.05)

@@ -175,13 +175,15 @@ class Trials:
         if not starts[0].two_mass:
             pairs = (*frozen, *free)
             # one round from each; what is best then has the others: the derivatives take nearly all of the time
-            best = _lowest(*(fit.run(at, pairs, rounds=1) for at in starts))
-            further = FITTING.relinearised_rounds - 1
-            if best is not None:
-                best = fit.run(best.point, pairs, rounds=further)
+            firsts = [fit.run(at, pairs, rounds=1) for at in starts]
+            best = first = _lowest(*firsts)
+            if first is not None:
+                best = fit.run(first.point, pairs, rounds=FITTING.relinearised_rounds - 1)
             if patient and best is not None and best.objective > base.model.objective:
-                # none need be worse than without the effect: the fit is still on its way
-                best = _lowest(best, fit.run(best.point, pairs, rounds=FITTING.relinearised_rounds))
+                # none need be worse than without the effect: all are still on their way, and the best may be no more
+                others = (f for f in firsts if f is not None and f is not first)
+                on = (fit.run(f.point, pairs, rounds=FITTING.patient_rounds) for f in (best, *others))
+                best = _lowest(best, *on)
             return [best]
         slopes = base.slopes
         if not base.model.point.two_mass:
