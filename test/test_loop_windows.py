@@ -222,7 +222,12 @@ def test_innovations_of_the_noise_that_the_gain_is_made_for_spread_as_that_noise
     J = mechanism.joints
     white = Weighting(np.ones((J, 1)), np.array(p.spread), p.lengths)
     of_noise = RowNoise(p.volts, np.full(J, sensed))
-    assert np.allclose(variance_of_innovations(p, white, 300), variance_of_rows(p, of_noise, 300), rtol=1e-3)
+    spread = variance_of_innovations(p, white, 300)
+    assert np.allclose(spread, variance_of_rows(p, of_noise, 300), rtol=1e-3)
+    assert np.array_equal(variance_of_innovations(p, white, 1), spread[:1])
+    # a log without any window has no such error
+    none = position_floor(np.zeros(0, dtype=int), partial(variance_of_innovations, p, white))
+    assert none.shape == (J,) and np.isnan(none).all()
 
 
 def test_the_spread_of_coloured_innovations_is_that_of_simulated_ones():

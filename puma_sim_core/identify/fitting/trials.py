@@ -179,11 +179,11 @@ class Trials:
             best = first = _lowest(*firsts)
             if first is not None:
                 best = fit.run(first.point, pairs, rounds=FITTING.relinearised_rounds - 1)
-            if patient and best is not None and best.objective > base.model.objective:
-                # none need be worse than without the effect: all are still on their way, and the best may be no more
-                others = (f for f in firsts if f is not None and f is not first)
-                on = (fit.run(f.point, pairs, rounds=FITTING.patient_rounds) for f in (best, *others))
-                best = _lowest(best, *on)
+            for at in (best, *(f for f in firsts if f is not first)) if patient else ():
+                # none need be worse than without the effect: a fit that is has not ended, and the best of them may be
+                # on its way to nothing
+                if at is not None and best is not None and best.objective > base.model.objective:
+                    best = _lowest(best, fit.run(at.point, pairs, rounds=FITTING.patient_rounds))
             return [best]
         slopes = base.slopes
         if not base.model.point.two_mass:

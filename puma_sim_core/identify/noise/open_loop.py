@@ -84,7 +84,7 @@ def variance_of_innovations(predictor: Predictor, noise: Weighting, rows: int) -
     for (F, _, gain), taps, scale in zip(predictor.linear, noise.filters, noise.scale):
         r = fft.irfft((scale / np.abs(folded_response(taps, size))) ** 2, size)[:rows]
         g = np.array([1.0, *_powers(F, gain, rows - 1)])
-        before = np.concatenate([[0.0], np.convolve(g, r[1:])[: rows - 1]])
+        before = np.convolve(g, np.concatenate([[0.0], r[1:]]))[:rows]
         columns.append(np.cumsum(2.0 * g * before + g**2 * r[0]))
     return np.column_stack(columns)
 

@@ -123,7 +123,7 @@ class Fitting:
     promised: float = 0.7  #: of the screened gain; below it all derivatives are taken anew [calibrated]
     trial_rounds: int = 5  #: rounds of a trial's fit
     relinearised_rounds: int = 3  #: of one with derivatives of its own
-    patient_rounds: int = 6  #: more of each where the best is worse than without the effect: ends by itself in most
+    patient_rounds: int = 6  #: more of each in turn as long as the best is worse than without the effect
     two_mass_rounds: int = 6  #: of such a two-mass model
     small_coefficients: float = 1e-3  #: share of screened coefficients that slopes are taken over
     threshold_starts: tuple[float, ...] = (0.7, 0.8, 0.87, 0.94, 1.0, 1.07, 1.15, 1.3)  #: over the screened
