@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import jsonschema
 import numpy as np
@@ -326,4 +327,6 @@ def test_a_service_that_is_seen_late_resets_all_the_same():
         for _ in range(2):
             topics.begin(reference)
             answers += [topics.ask(0.0, reference[0], reference[0]) for _ in range(2)]
+        gone = SimpleNamespace(node_namespace=namespace, node_name="gone")
+        assert topics._reset_of(gone) == ""
     assert answers == 2 * [(1.0, 1.0, 1.0), (2.0, 2.0, 2.0)]

@@ -1,6 +1,7 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The topics between an appraisal and the process of a controller, in lockstep: one answer to each state."""
 
+import contextlib
 import time
 from array import array
 from collections import deque
@@ -9,7 +10,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
+from rclpy.node import Node, NodeNameNonExistentError
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
@@ -127,20 +128,26 @@ class Topics:
     def _found_reset(self):
         """A client of the service ``~/reset`` of the node that sends commands; None where none shows itself in time."""
         since, known = time.monotonic(), False
-        while time.monotonic() < since + (_RESET if known else self._patience.answer):
+        while not self._ended() and time.monotonic() < since + (_RESET if known else self._patience.answer):
             senders = list(filter(self._new, self._senders()))
             named = [info for info in senders if info.node_name != UNKNOWN]
-            for info in named:
-                own = f"{info.node_namespace.rstrip('/')}/{info.node_name}/reset"
-                for name, types in self._node.get_service_names_and_types_by_node(info.node_name, info.node_namespace):
-                    if name == own and "std_srvs/srv/Trigger" in types:
-                        client = self._node.create_client(Trigger, name)
-                        client.wait_for_service(self._patience.answer)
-                        return client
+            if name := next(filter(None, map(self._reset_of, named)), ""):
+                client = self._node.create_client(Trigger, name)
+                client.wait_for_service(self._patience.answer)
+                return client
             if not known and len(named) == len(senders):
                 since, known = time.monotonic(), True
             self._spin(_LOOK)
         return None
+
+    def _reset_of(self, info) -> str:
+        """The name of the service ``~/reset`` of a node, empty as long as none is known."""
+        own = f"{info.node_namespace.rstrip('/')}/{info.node_name}/reset"
+        services = []
+        # a process that has just ended is told of by the endpoints that it had
+        with contextlib.suppress(NodeNameNonExistentError):
+            services = self._node.get_service_names_and_types_by_node(info.node_name, info.node_namespace)
+        return own if any(name == own and "std_srvs/srv/Trigger" in types for name, types in services) else ""
 
     def leave(self) -> None:
         """Take no commands until the next `listen`: the process was ended, and what it has sent counts no more."""
