@@ -44,14 +44,15 @@ library = ["quadratic_friction:joint=1,coefficient=3", "torque_ripple:joint=3,am
            "position_dependent_friction:joint=3,torque=3,amplitude=2,angle=0.5",
            "friction_warm_up:joint=2,share=0.5,time_constant=0.3", "supply_droop:coefficient=0.01",
            "resistance_drift:joint=1,share=0.3,time_constant=0.2", "base_tilt:x=0.04,y=-0.02",
-           "impulse:joint=2,torque=60,time=0.2,width=0.05", "voltage_dead_band:joint=1,voltage=0.4",
+           "impulse:joint=2,torque=60,time=0.2,width=0.05", "impulse_2:joint=2,torque=-30,time=0.4,width=0.04",
+           "voltage_dead_band:joint=1,voltage=0.4",
            "voltage_offset:joint=2,voltage=0.3", "input_delay:time=0.0015",
            "sensor_lag:joint=1,time_constant=0.004", "encoder_offset:joint=2,angle=0.01",
            "sensor_nonlinearity:joint=3,amplitude=0.005,period=1.5"]
 trains = ["joint_elasticity:joint=2,stiffness=2e4", "backlash:joint=3,gap=0.001",
           "transmission_error:joint=1,amplitude=5e-4,order=7"]
 every = dry + stribeck + bristle + rest + library + trains
-assert {text.partition(":")[0] for text in every} == set(KINDS)
+assert {KINDS[text.partition(":")[0]].first for text in every} == {kind.first for kind in KINDS.values()}
 plants = {"none": [], "dry": dry, "dry and stribeck": dry + stribeck, "bristle": bristle,
           "rest": rest, "library": library, "all": every}
 constraints = {"free": "free free free", "mixed": "free hold velocity:0.3",

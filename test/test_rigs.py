@@ -202,6 +202,14 @@ WANTED = Expected(("NAMED",), names=FRICTION, wrong=("backlash@1",), sure=("fit"
         ),
         (report("UNNAMED", shape=("time", 1)), Expected(("UNNAMED",), names=(("impulse@1", "shape:time@1"),)), "right"),
         (report("UNNAMED", shape=("time", 2)), Expected(("UNNAMED",), names=(("impulse@1", "shape:time@1"),)), "wrong"),
+        # which of several pushes it is says no expectation
+        (
+            report("NAMED", effect("impulse_2", 1), effect("coulomb_friction", 1)),
+            Expected(("NAMED",), names=(("impulse@1",),), wrong=("impulse@2",)),
+            "right",
+        ),
+        (report("NAMED", effect("impulse_3", 2)), Expected(("NAMED",), names=(("impulse@1",),)), "wrong"),
+        (report("NAMED", effect("impulse_3", 2)), Expected(("NAMED",), wrong=("impulse@2",)), "wrong"),
         (None, WANTED, "error"),
     ],
 )

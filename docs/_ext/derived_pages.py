@@ -21,6 +21,7 @@ _REFERENCE = re.compile(r"\b(equations?|tables?) (\d\.\d+(?:(?:, | and | to )\d\
 
 def effects_page() -> str:
     """One section for each effect of the registry."""
+    firsts = [kind for kind in KINDS.values() if kind.number == 1]
     lines = [
         "# Effects",
         "",
@@ -29,11 +30,15 @@ def effects_page() -> str:
         "| effect | acts on | in one sentence |",
         "|---|---|---|",
     ]
-    lines += [f"| [{k.name}](#{_anchor(k.name)}) | {k.acts} | {_cell(k.sentence)} |" for k in KINDS.values()]
-    for kind in KINDS.values():
+    lines += [f"| [{k.name}](#{_anchor(k.name)}) | {k.acts} | {_cell(k.sentence)} |" for k in firsts]
+    for kind in firsts:
         lines += ["", f"({_anchor(kind.name)})=", f"## `{kind.name}`", "", kind.sentence, "", *_literal(kind.equation)]
         where = "one joint" if kind.per_joint else "the whole arm"
-        lines += ["", f"Acts on the {kind.acts} of {where}.", "", "| parameter | unit | bounds | default | meaning |"]
+        lines += ["", f"Acts on the {kind.acts} of {where}."]
+        if kind.further:
+            names = ", ".join(f"`{each.name}`" for each in kind.further)
+            lines += ["", f"Up to {kind.most} of it may act on one joint. Those after the first are {names}."]
+        lines += ["", "| parameter | unit | bounds | default | meaning |"]
         lines += ["|---|---|---|---|---|"]
         for p in kind.parameters:
             default = "required" if p.default is None and p.from_arm is None else "from the arm"

@@ -49,13 +49,13 @@ def run(options: argparse.Namespace) -> int:
         print("\nMechanisms (--plant), the default one first\n")
         print("\n".join(map(_mechanism_text, machines)))
         print("\nEffects (--effect)\n")
-        print("\n\n".join(map(_effect_text, KINDS.values())))
+        print("\n\n".join(map(_effect_text, (kind for kind in KINDS.values() if kind.number == 1))))
     elif name == "mechanisms":
         print("\n".join(map(_mechanism_text, machines)))
     elif name in machines:
         print(config_path("mechanisms", f"{name}.yaml").read_text(encoding="utf-8"), end="")
     elif name in KINDS:
-        print(_effect_text(KINDS[name]))
+        print(_effect_text(KINDS[KINDS[name].first]))
     elif name in sets or Path(name).exists():
         print(_parameter_file(name), end="")
     else:
@@ -103,6 +103,8 @@ def _effect_text(kind: Kind) -> str:
         f"  {kind.equation}",
         f"  --effect {kind.name}:{','.join(keys)}",
     ]
+    if kind.further:
+        lines.append(f"    up to {kind.most} on a joint: {', '.join(kind.names)}")
     names = [p.name for p in kind.parameters]
     units = [f"[{p.unit}]" for p in kind.parameters]
     for p, unit in zip(kind.parameters, units):

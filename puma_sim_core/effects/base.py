@@ -25,7 +25,7 @@ j = 0, 1, 2 begin at ``j * WIDTH + place``. A table without an effect holds its 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass, field, replace
 from enum import Enum, IntFlag
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -213,6 +213,11 @@ class LookAlike(NamedTuple):
     its: str  #: what tells the other from this one
 
 
+def _numbered(first: str, number: int) -> str:
+    """Name of an effect that is one of several of its kind on a joint."""
+    return first if number == 1 else f"{first}_{number}"
+
+
 @dataclass(frozen=True)
 class Kind:
     """An effect of the library; `Effect` is one with values on a joint."""
@@ -246,9 +251,36 @@ class Kind:
     needs: Needs | None = None  #: what a mechanism must have
     feigned: bool = False  #: feedback in a recording makes it out of noise
     repeatable: bool = True  #: a motion can bring it about again
+    most: int = 1  #: how many of it one joint may have: the registry makes NAME_2 and so on for those after the first
+    number: int = 1  #: which of them it is
     fine: bool = False  #: regressors need a fine step
     shifts_zero: bool = False  #: its size is a wrong zero of the joint's sensor
     example: str = ""  #: as on a command line
+
+    @property
+    def first(self) -> str:
+        """Name of the first one on a joint, which users know it by."""
+        return self.name if self.number == 1 else self.name.removesuffix(f"_{self.number}")
+
+    @property
+    def before(self) -> str | None:
+        """Name of the one that a joint has before this one; None for the first."""
+        return None if self.number == 1 else _numbered(self.first, self.number - 1)
+
+    @property
+    def further(self) -> tuple[Kind, ...]:
+        """Those that one joint may have after the first."""
+        numbers = range(2, self.most + 1) if self.number == 1 else ()
+        own = {n: _numbered(self.name, n) for n in numbers}
+        return tuple(
+            replace(self, name=name, number=n, example=self.example.replace(self.name, name, 1))
+            for n, name in own.items()
+        )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all that one joint may have of it."""
+        return tuple(_numbered(self.first, n) for n in range(1, self.most + 1))
 
     @property
     def special_cases(self) -> tuple[str, ...]:
@@ -332,6 +364,18 @@ class Effect:
             what = ", ".join(f"{name}={value:g}" for name, value in complete.items())
             raise ParameterError(what, where=where, expected=expected)
         object.__setattr__(self, "values", complete)
+
+    @property
+    def place(self) -> float:
+        """Where or when it acts: its first parameter that says so, 0 without one."""
+        return next((self.values[p.name] for p in self.kind.parameters if p.role is PLACE), 0.0)
+
+    def overlaps(self, other: Effect) -> bool:
+        """Whether it acts where another of its kind does: nearer than the mean of what their places are counted by."""
+        widths = [p.step for p in self.kind.parameters if p.role is PLACE and isinstance(p.step, str)]
+        if not widths:
+            return True
+        return abs(self.place - other.place) < 0.5 * (self.values[widths[0]] + other.values[widths[0]])
 
     def on(self, arm: ArmParameters) -> Effect:
         """The effect with the values that it takes from its arm filled in."""

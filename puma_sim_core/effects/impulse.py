@@ -113,6 +113,7 @@ EFFECT = Kind(
     ),
     laws=(Law(Point.PUSH, pulse_torque),),
     repeatable=False,
+    most=4,
     screening=Screening(
         impulse,
         "None can show it again: an impact is not repeatable; repeat the motion to see that it is gone.",

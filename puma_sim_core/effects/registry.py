@@ -100,13 +100,16 @@ def _from_environment() -> Iterator[Kind]:
 
 
 def _related(kinds: list[Kind]) -> dict[str, Kind]:
-    """Effects by name, in order, with the look-alikes and special cases of both sides."""
+    """Effects by name, in order, with the look-alikes and special cases of both sides, and with those that a joint may
+    have several of."""
+    kinds = [each for kind in kinds if kind.number == 1 for each in (kind, *kind.further)]
     found = {kind.name: kind for kind in sorted(kinds, key=lambda kind: kind.order)}
     for name, count in Counter(kind.name for kind in kinds).items():
         if count > 1:
             raise ParameterError(f"effect {name} is defined twice", expected="each name once")
     pairs = list(LOOK_ALIKES)
-    pairs += [(kind.name, pair.other, pair.mine, pair.its) for kind in found.values() for pair in kind.look_alikes]
+    firsts = [kind for kind in found.values() if kind.number == 1]
+    pairs += [(kind.name, pair.other, pair.mine, pair.its) for kind in firsts for pair in kind.look_alikes]
     table: dict[str, list[LookAlike]] = {name: [] for name in found}
     seen: set[frozenset[str]] = set()
     for one, other, mine, its in pairs:
@@ -118,9 +121,9 @@ def _related(kinds: list[Kind]) -> dict[str, Kind]:
     return {
         name: replace(
             kind,
-            look_alikes=tuple(table[name]),
-            contains=CONTAINS.get(name, kind.contains),
-            alike_in_part=ALIKE_IN_PART.get(name, kind.alike_in_part),
+            look_alikes=tuple(table[kind.first]),
+            contains=CONTAINS.get(kind.first, kind.contains),
+            alike_in_part=ALIKE_IN_PART.get(kind.first, kind.alike_in_part),
         )
         for name, kind in found.items()
     }
@@ -220,12 +223,24 @@ def parse_effect(text: str) -> Effect:
     return Effect(KINDS[name], None if joint is None else int(joint), values)
 
 
-def check_distinct(effects: Iterable[Effect]) -> None:
-    """Raise ParameterError where the same effect stands twice on one joint."""
-    for (name, joint), count in Counter((effect.kind.name, effect.joint) for effect in effects).items():
-        if count > 1:
+def distinct(effects: Iterable[Effect]) -> tuple[Effect, ...]:
+    """The effects, each name once a joint: of those that a joint may have several of, the next free name is taken.
+
+    Raises
+    ------
+    ParameterError : an effect stands more often on one joint than there may be of it.
+    """
+    found: dict[tuple[str, int | None], Effect] = {}
+    for effect in effects:
+        kind, joint = effect.kind, effect.joint
+        name = next((name for name in (kind.name, *kind.names) if (name, joint) not in found), None)
+        if name is None:
             place = "the arm" if joint is None else f"joint {joint}"
-            raise ParameterError(f"effect {name} stands twice on {place}", expected="each kind once a joint")
+            what = f"effect {kind.first} stands {'twice' if kind.most == 1 else 'too often'} on {place}"
+            most = "once" if kind.most == 1 else f"at most {kind.most} times"
+            raise ParameterError(what, expected=f"each kind {most} a joint")
+        found[name, joint] = effect if name == kind.name else Effect(KINDS[name], joint, effect.values)
+    return tuple(found.values())
 
 
 def pack(effects: Iterable[Effect]) -> list[float]:

@@ -36,7 +36,7 @@ from puma_sim_core.identify.residuals.unnamed import Unnamed
 from puma_sim_core.identify.result import DATA_FAULT, Agreement, Detectable, Errors, Explanation, Fault, FeedbackBias
 from puma_sim_core.identify.screening.causal import CausalScreen
 from puma_sim_core.identify.screening.detect import detectable
-from puma_sim_core.identify.screening.hypotheses import candidates, hypotheses
+from puma_sim_core.identify.screening.hypotheses import candidates, hypotheses, open_to
 from puma_sim_core.identify.screening.short_list import ShortList
 from puma_sim_core.identify.selection.cross_validation import CrossValidation, WeightedModel
 from puma_sim_core.identify.selection.selection import Selection
@@ -303,6 +303,8 @@ class Stages:
             alone = CausalScreen(fit, bare.point, bare.errors, columns, self.problem)
         rows = []
         for kind, joint in hypotheses(self.prepared.library.values(), self.mechanism):
+            if (kind.name, joint) not in state.keys and not open_to(kind, joint, state.keys):
+                continue
             found = alike.get((kind.name, joint))
             causal = beside if found is None else alone
             pairs = [(c, causal.gram(c)) for c in candidates(kind, joint, causal.signals)]

@@ -46,10 +46,8 @@ class Standing:
 def standings(state: SelectionState, better: Better) -> tuple[Standing, ...]:
     """Those of all hypotheses that were tried, the greatest evidence first."""
     rows = [Standing(c.key, float(c.gain), NAMED, None, True, c.trial) for c in state.chosen]
-    last = {trial.key: (stage, trial) for stage in state.history for trial in stage.trials}
-    for key, (stage, trial) in last.items():
-        if key not in state.keys:
-            rows.append(_in_place(state, key, better) or _added(state, stage, trial))
+    last = {trial.key: (stage, trial) for stage in state.history for trial in state.others(stage)}
+    rows += [_in_place(state, key, better) or _added(state, *tried) for key, tried in last.items()]
     return tuple(sorted(rows, key=lambda row: (math.isnan(row.evidence), -row.evidence)))
 
 
@@ -83,7 +81,7 @@ def _in_place(state: SelectionState, key: Key, better: Better) -> Standing | Non
     found = [
         (row, _on_one_joint(chosen.key, key))
         for chosen in state.chosen
-        for trial in chosen.stage.trials
+        for trial in state.others(chosen.stage)
         if trial.key == key
         for row in [_beside(chosen, trial, better)]
         if _on_one_joint(chosen.key, key) or row.verdict == TIED
@@ -135,7 +133,7 @@ def _beside(chosen: Chosen, trial: Trial, better: Better) -> Standing:
         verdict = f"{evidence - chosen.gain:.0f} nat more than {named}, but {why}"
     else:
         verdict = f"lower than {named} by {chosen.gain - evidence:.0f} nat"
-        told = KINDS[chosen.key[0]].told_from(trial.name)
+        told = KINDS[chosen.key[0]].told_from(KINDS[trial.name].first)
         verdict += f": {told}" if told else ""
     return Standing(trial.key, evidence, verdict, chosen.key, trial.problem is None, trial)
 

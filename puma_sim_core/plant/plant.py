@@ -25,7 +25,7 @@ from puma_sim_core.checks import check_choice
 from puma_sim_core.dynamics.types import Constants, Drive, Model
 from puma_sim_core.effects import KINDS, VISCOUS, Effect
 from puma_sim_core.effects.base import Stage
-from puma_sim_core.effects.registry import active_stages, check_distinct, fill_arm, pack, vanishes
+from puma_sim_core.effects.registry import active_stages, distinct, fill_arm, pack, vanishes
 from puma_sim_core.errors import ModelError, ParameterError, one_of
 from puma_sim_core.plant.drive_train import DriveTrains
 
@@ -39,7 +39,7 @@ class Plant:
     Attributes
     ----------
     arm : masses, lengths, motors.
-    effects : what acts beyond the thesis's model; each kind once a joint.
+    effects : what acts beyond the thesis's model; each kind once a joint, but for those of which it may have several.
     torque_form : "physical" or "printed" (equation 5.2; only with the printed form, or with
         open-circuit motors, does the arm fall as in plot 7.3).
 
@@ -54,8 +54,7 @@ class Plant:
 
     def __post_init__(self) -> None:
         check_choice(self.torque_form, "torque_form", TORQUE_FORMS)
-        effects = tuple(effect.on(self.arm) for effect in self.effects)
-        check_distinct(effects)
+        effects = distinct(effect.on(self.arm) for effect in self.effects)
         object.__setattr__(self, "effects", effects)
         if any(effect.kind.stage & Stage.TWO_MASS for effect in effects):
             _ = self.constants  # refuses shares of the motors' inertia that no arm can have

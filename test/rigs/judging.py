@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from puma_sim_core.effects import KINDS
 from rigs.catalogue import Expected, Size
 from rigs.variants import VARIANTS
 
@@ -18,6 +19,12 @@ _ROUNDING = 1e-9
 def token(name: str, joint: int | None) -> str:
     """NAME@JOINT, or NAME for the whole machine."""
     return name if joint is None else f"{name}@{joint}"
+
+
+def _first(name: str) -> str:
+    """A token with the name of the first of several of a kind on one joint: no expectation says which of them it is."""
+    effect, at, joint = name.partition("@")
+    return (KINDS[effect].first if effect in KINDS else effect) + at + joint
 
 
 def named(report: Mapping[str, Any]) -> list[str]:
@@ -45,7 +52,7 @@ def judge(report: Mapping[str, Any] | None, expected: Expected) -> dict[str, Any
     """
     if report is None:
         return {"mark": ERROR, "why": [], "sizes": []}
-    names, ties, why, open_ = said(report), tied(report), [], []
+    names, ties, why, open_ = list(map(_first, said(report))), list(map(_first, tied(report))), [], []
     if report["verdict"] not in expected.verdicts:
         why.append(f"verdict {report['verdict']}")
     for alternatives in expected.names:
@@ -56,7 +63,7 @@ def judge(report: Mapping[str, Any] | None, expected: Expected) -> dict[str, Any
             else:
                 why.append(f"no {alternatives[0]}{' or the like' if len(alternatives) > 1 else ''}")
     wanted = {name for alternatives in expected.names for name in alternatives}
-    for name in named(report):
+    for name in dict.fromkeys(map(_first, named(report))):
         unlisted = expected.others_wrong and name not in wanted and name not in expected.beside
         # what stands in for a tied name is no wrong name
         stands_in = open_ and name in _with_ties(report, wanted)
@@ -72,9 +79,9 @@ def _with_ties(report: Mapping[str, Any], wanted: Iterable[str]) -> set[str]:
     """The named effects that are tied with one that is wanted."""
     wanted = set(wanted)
     return {
-        token(effect["name"], effect["joint"])
+        _first(token(effect["name"], effect["joint"]))
         for effect in report["effects"]
-        if wanted & {token(tie["name"], tie["joint"]) for tie in effect["tied_with"]}
+        if wanted & {_first(token(tie["name"], tie["joint"])) for tie in effect["tied_with"]}
     }
 
 
@@ -83,7 +90,8 @@ def sizes(report: Mapping[str, Any], published: Iterable[Size]) -> list[dict[str
     found = []
     for size in published:
         name, _, parameter = size.of.rpartition(".")
-        rows = [e for e in report["effects"] if token(e["name"], e["joint"]) == name and parameter in e["parameters"]]
+        own = [e for e in report["effects"] if _first(token(e["name"], e["joint"])) == name]
+        rows = [e for e in own if parameter in e["parameters"]]
         if not rows:
             continue
         of_each = [row["parameters"][parameter] for row in rows]

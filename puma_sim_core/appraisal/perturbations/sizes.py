@@ -35,8 +35,8 @@ def main_parameter(kind: Kind) -> tuple[Parameter, float, float]:
 
 
 def scalable() -> list[Kind]:
-    """Effects that have a size: those with an example."""
-    return [kind for kind in KINDS.values() if kind.example and main_parameter(kind)[1] > 0.0]
+    """Effects that have a size: those with an example, one of each that a joint may have several of."""
+    return [kind for kind in KINDS.values() if kind.example and kind.number == 1 and main_parameter(kind)[1] > 0.0]
 
 
 def value_at(kind: Kind, size: float) -> float:

@@ -119,7 +119,7 @@ def _sentence(log_name: str, separate: tuple[Hypothesis, ...], joints: int) -> s
 def _told_apart(first: Hypothesis, second: Hypothesis) -> str | None:
     """What the library says of the difference, from the side of one of the two."""
     for one, other in ((first, second), (second, first)):
-        told = KINDS[one.name].told_from(other.name)
+        told = KINDS[one.name].told_from(KINDS[other.name].first)
         if told is not None:
             return f"of {one.name.replace('_', ' ')}, {told}"
     return None

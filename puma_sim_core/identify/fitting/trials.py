@@ -4,6 +4,8 @@
 A trial counts by its gain of log likelihood less the Occam factor, its gain on the validation set, and its sizes.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -86,6 +88,25 @@ class Trial:
         """The fitted model of a trial that could be run."""
         assert self.fitted is not None
         return self.fitted
+
+    def beside(self, effects: Iterable[Effect]) -> Trial | None:
+        """The trial as what a model with these effects lacks: under another name where its own is taken and a joint may
+        have several, None where they have it, or may have no more."""
+        alike = [e for e in effects if e.joint == self.joint and e.kind.name in KINDS[self.name].names]
+        if any(e.kind.most == 1 or self.effect.overlaps(e) for e in alike):
+            return None
+        taken = {e.kind.name for e in alike}
+        name = next((name for name in (self.name, *KINDS[self.name].names) if name not in taken), None)
+        return None if name is None else self.named(name)
+
+    def named(self, name: str) -> Trial:
+        """The same trial under another of the names that a joint may have of its effect."""
+        if name == self.name:
+            return self
+        point = self.model.point
+        effects = (*point.effects[:-1], replace(self.effect, kind=KINDS[name]))
+        model = replace(self.model, point=replace(point, effects=effects))
+        return replace(self, scored=replace(self.scored, name=name), fitted=model)
 
     @property
     def vanishing(self) -> bool:

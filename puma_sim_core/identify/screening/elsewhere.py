@@ -9,8 +9,11 @@ greatest of n further pieces exceeds
 
     u + k s ((n / (2 a))^(1/k) - 1)
 
-with probability a, where s is known by k excesses only. Medians keep the level where it is if the log has a few more
-pushes.
+with probability a, where s is known by k excesses only.
+
+A log may have several pushes, and each would hide the others. So the greatest gains are left out, one by one, up to as
+many as a joint may have beside the one, and the least level counts of those that all that are left out are above, with
+a share of the probability (after the generalised extreme studentised deviates: Rosner, Technometrics 25 (1983) 165).
 """
 
 from dataclasses import replace
@@ -24,11 +27,22 @@ from puma_sim_core.identify.screening.hypotheses import candidates
 from puma_sim_core.identify.settings import SELECTION
 
 
-def level_of_pieces(gains: Floats, probability: float) -> float:
+def level_of_pieces(gains: Floats, probability: float, further: int = 0) -> float:
     """The gain [nat] that the greatest of as many further pieces exceeds with a probability.
 
-    gains (n,) [nat] : the greatest of each piece; infinite for fewer than two pieces.
+    gains (n,) [nat] : the greatest of each piece; infinite for fewer than two pieces; further : pieces that may have a
+    push of their own, at most a quarter of all.
     """
+    ordered = np.sort(gains)[::-1]
+    found = _level(ordered, probability)
+    for out in range(1, min(further, len(gains) // 4) + 1):
+        if ordered[out - 1] > _level(ordered[out:], SELECTION.elsewhere_left_out * probability):
+            found = min(found, _level(ordered[out:], probability))
+    return found
+
+
+def _level(gains: Floats, probability: float) -> float:
+    """`level_of_pieces` where none has a push of its own."""
     n = len(gains)
     if n < 2:
         return np.inf
@@ -62,4 +76,4 @@ def gains_elsewhere(causal: CausalScreen, kind: Kind, joint: int, piece: Ints) -
 
 def level_elsewhere(causal: CausalScreen, kind: Kind, joint: int, piece: Ints) -> float:
     """The gain [nat] that such an effect needs, by `gains_elsewhere`."""
-    return level_of_pieces(gains_elsewhere(causal, kind, joint, piece), 0.5 * SELECTION.surrogate_level)
+    return level_of_pieces(gains_elsewhere(causal, kind, joint, piece), 0.5 * SELECTION.surrogate_level, kind.most - 1)

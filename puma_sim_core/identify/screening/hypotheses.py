@@ -1,7 +1,7 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Hypotheses of a library, the signals that their candidates read, and the columns of these."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 
 import numpy as np
 
@@ -9,6 +9,7 @@ from puma_sim_core.effects import Kind
 from puma_sim_core.effects.screening import Candidate, Signals
 from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.data.sampling import Trajectory
+from puma_sim_core.identify.screening.evidence import Key
 from puma_sim_core.identify.settings import FITTING
 from puma_sim_core.plant.mechanism import Mechanism
 
@@ -74,6 +75,12 @@ def hypotheses(library: Iterable[Kind], mechanism: Mechanism) -> Iterator[tuple[
         for joint in range(1, mechanism.joints + 1) if kind.per_joint else (None,):
             if mechanism.possible(kind.name, joint):
                 yield kind, joint
+
+
+def open_to(kind: Kind, joint: int | None, keys: Collection[Key]) -> bool:
+    """Whether an effect may be added to a model with the effects `keys`: it is none of them, and the one that the joint
+    has before it, where it may have several, is."""
+    return (kind.name, joint) not in keys and (kind.before is None or (kind.before, joint) in keys)
 
 
 def candidates(kind: Kind, joint: int | None, signals: Signals) -> list[Candidate]:

@@ -14,7 +14,7 @@ from puma_sim_core.effects import Kind
 from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.noise import residual as noise
 from puma_sim_core.identify.screening.evidence import Bank, Base, Entry, Scored, screen
-from puma_sim_core.identify.screening.hypotheses import candidates, hypotheses
+from puma_sim_core.identify.screening.hypotheses import candidates, hypotheses, open_to
 from puma_sim_core.identify.screening.problem import Linear, Problem
 from puma_sim_core.identify.settings import SCREENING
 
@@ -155,7 +155,8 @@ class Search:
         bank = Bank(p.sampled.joints)
         known = {(e.kind.name, e.joint) for e in p.mechanism.effects}
         slow = [kind for kind in self.library.values() if kind.screening is not None and not kind.screening.fast]
-        jobs = [(kind, joint) for kind, joint in hypotheses(slow, p.mechanism) if (kind.name, joint) not in known]
+        # of what a joint may have several of, those after the first are sought in what the first ones leave
+        jobs = [(kind, joint) for kind, joint in hypotheses(slow, p.mechanism) if open_to(kind, joint, known)]
         for number, (kind, joint) in enumerate(jobs):
             self.progress("screening", 0.05 + 0.15 * number / len(jobs))
             bank.add(kind.name, joint, candidates(kind, joint, signals), lambda c: p.reduce(c, signals))

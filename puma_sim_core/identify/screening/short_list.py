@@ -15,7 +15,7 @@ from puma_sim_core.identify.fitting.prediction import Point
 from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.screening.causal import CausalScreen
 from puma_sim_core.identify.screening.evidence import Bank, Key, Scored
-from puma_sim_core.identify.screening.hypotheses import hypotheses
+from puma_sim_core.identify.screening.hypotheses import hypotheses, open_to
 from puma_sim_core.identify.screening.search import Search
 from puma_sim_core.identify.settings import SCREENING, SELECTION
 
@@ -59,7 +59,7 @@ class ShortList:
         found = [
             causal.score(kind, joint)
             for kind, joint in hypotheses(self.library.values(), self.predictor.mechanism)
-            if (kind.name, joint) not in keys
+            if open_to(kind, joint, keys)
         ]
         return sorted((s for s in found if s is not None and _promising(s)), key=lambda s: -s.gain)
 

@@ -158,7 +158,7 @@ class Elimination:
             return fit.to_end(at, self.trials.free(at))[0], trial
 
         stage = chosen.stage
-        own = next(t for t in stage.trials if t.key == chosen.key)
+        own = chosen.tried
         first = best = exact(start, own, start.effects[number])
         full = first[0].point
         # from what was tried, and with what the two have in common as it is now
@@ -166,7 +166,7 @@ class Elimination:
         simpler = min((exact(full, *start) for start in starts), key=lambda pair: pair[0].objective)
         promised = own.gain + own.occam - simpler[1].gain - simpler[1].occam
         if abs(simpler[0].objective - first[0].objective - promised) > SELECTION.unfinished:
-            alike = (t for t in _open(stage, state.keys) if t.joint == simpler[1].joint)
+            alike = (t for t in _open(stage, state) if t.joint == simpler[1].joint)
             others = [exact(full, t, t.effect) for t in alike if self._contains(t, simpler[1].name)]
             possible = (pair for pair in others if not self.trials.implausible(pair[0].point.effects[number]))
             rival = min(possible, key=_cost, default=first)
@@ -188,7 +188,7 @@ class Elimination:
         kind = self.library[name]
         if kind.screening is None or kind.screening.generous:
             return []
-        return [t for t in _open(stage, state.keys) if t.joint == joint and t.name in kind.contains]
+        return [t for t in _open(stage, state) if t.joint == joint and t.name in kind.contains]
 
     def _rivals(self, state: SelectionState, key: Key) -> list[Trial]:
         """Trials that may take the place of an accepted effect: the best, and those that contain it."""
@@ -196,7 +196,7 @@ class Elimination:
         if stage is None or stage.accepted is None:
             return []
         least = SELECTION.rival_share * stage.accepted.gain
-        near = [t for t in _open(stage, state.keys) if t.gain > least]
+        near = [t for t in _open(stage, state) if t.gain > least]
         return [
             t for n, t in enumerate(near) if n < SELECTION.rivals or (t.joint == key[1] and self._contains(t, key[0]))
         ]
@@ -226,9 +226,9 @@ def _cost(pair: tuple[Fitted, Trial]) -> float:
     return pair[0].objective + pair[1].occam
 
 
-def _open(stage: Stage, keys: tuple[Key, ...]) -> list[Trial]:
-    """Trials of a stage that may be named and are not chosen."""
-    return [t for t in stage.trials if t.possible and t.key not in keys]
+def _open(stage: Stage, state: SelectionState) -> list[Trial]:
+    """Trials of a stage that may be named and are not in the model."""
+    return [t for t in state.others(stage) if t.possible]
 
 
 def _less(items: tuple[Item, ...], number: int) -> tuple[Item, ...]:

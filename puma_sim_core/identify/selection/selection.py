@@ -23,7 +23,7 @@ from puma_sim_core.identify.parallel import parallel_map
 from puma_sim_core.identify.screening.causal import CausalScreen, placebo_shifts
 from puma_sim_core.identify.screening.elsewhere import level_elsewhere
 from puma_sim_core.identify.screening.evidence import Key
-from puma_sim_core.identify.screening.hypotheses import hypotheses
+from puma_sim_core.identify.screening.hypotheses import hypotheses, open_to
 from puma_sim_core.identify.screening.short_list import ShortList
 from puma_sim_core.identify.screening.surrogates import level
 from puma_sim_core.identify.selection.elimination import Elimination
@@ -192,6 +192,7 @@ class Selection:
 
     def finish(self, state: SelectionState) -> SelectionState:
         """Fit what was chosen to its end with derivatives about itself; the model without effects in the same noise."""
+        state = state.numbered
         fit, point = PredictionFit(self.predictor, state.noise), state.model.point
         pairs = self.trials.free(point)
         gain, times = FITTING.finished_final, FITTING.relinearisations_final
@@ -262,7 +263,7 @@ class Selection:
             least *= dispersion(self.predictor, screen.jacobian, screen.errors, len(screen.point.theta))
         chance = self._chance(state, screen)
         # the first dry friction of a joint, beside other effects, is compared in the direction of its own (`_beside`)
-        return Threshold(max(SELECTION.least_gain, chance.dry), max(least, chance.other), state.rubbing)
+        return Threshold(max(SELECTION.least_gain, chance.dry), max(least, chance.other), state.rubbing, least)
 
     def _beside_elsewhere(self, state: SelectionState, trial: Trial) -> Trial:
         kind, joint = self.library[trial.name], trial.joint
@@ -284,11 +285,13 @@ class Selection:
 
     def _chance(self, state: SelectionState, causal: CausalScreen) -> Threshold:
         """What the shifted innovations of a screen exceed by chance, over all that the short list is taken of: each of
-        the two kinds of effects has half of the probability."""
+        the two kinds of effects has half of the probability. Shifted innovations have the bumps of those that are not,
+        so that they say nothing of what is placed by these."""
         placebos = causal.placebos(self.shifts)
         gains: dict[bool, list[Floats]] = {True: [], False: []}
         for kind, joint in hypotheses(self.library.values(), self.mechanism):
-            if (kind.name, joint) not in state.keys:
+            assert kind.screening is not None
+            if open_to(kind, joint, state.keys) and not kind.screening.placed:
                 gains[kind.dry].append(placebos.gains(causal.pairs(kind, joint)))
 
         def reached(dry: bool) -> float:

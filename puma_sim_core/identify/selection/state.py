@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from puma_sim_core.effects import KINDS
@@ -18,16 +19,19 @@ from puma_sim_core.identify.settings import SELECTION
 @dataclass(frozen=True)
 class Threshold:
     """Gain [nat] that a name needs, by chance and by what the effects before it misfit: of the first dry friction of a
-    joint, which all but every drive has, and of any other effect. rubbing : joints (1-based) that have dry friction."""
+    joint, which all but every drive has, of what is placed where most is left, such as a push, which is compared with
+    the rest of the log and not with chance, and of any other effect. rubbing : joints (1-based) that have dry friction.
+    """
 
     dry: float
     other: float
     rubbing: frozenset[int | None] = frozenset()
+    placed: float = SELECTION.least_gain
 
     @classmethod
     def alike(cls, gain: float) -> Threshold:
         """The same for all."""
-        return cls(gain, gain)
+        return cls(gain, gain, placed=gain)
 
     def rubs(self, key: Key) -> bool:
         """Whether an effect is the first dry friction of its joint."""
@@ -35,11 +39,15 @@ class Threshold:
 
     def of(self, key: Key) -> float:
         """That of an effect."""
-        return self.dry if self.rubs(key) else self.other
+        if self.rubs(key):
+            return self.dry
+        screening = KINDS[key[0]].screening
+        return self.placed if screening is not None and screening.placed else self.other
 
     def least(self, other: Threshold) -> Threshold:
         """The lesser of two."""
-        return replace(self, dry=min(self.dry, other.dry), other=min(self.other, other.other))
+        dry, others = min(self.dry, other.dry), min(self.other, other.other)
+        return replace(self, dry=dry, other=others, placed=min(self.placed, other.placed))
 
 
 @dataclass(frozen=True)
@@ -59,6 +67,17 @@ class Stage:
     doubted: bool = False
     unclear: frozenset[Key] = frozenset()
     refuting: Trial | None = None
+
+    def naming(self, trial: Trial) -> Stage:
+        """The stage with a trial of it under the name that it has among the chosen effects."""
+        if any(t is trial for t in self.trials):
+            return self
+
+        def same(other: Trial | None) -> bool:
+            return other is not None and other.joint == trial.joint and other.name in KINDS[trial.name].names
+
+        accepted = trial if same(self.accepted) else self.accepted
+        return replace(self, trials=tuple(trial if same(t) else t for t in self.trials), accepted=accepted)
 
     def needed(self, trial: Trial) -> float:
         """The gain [nat] that a trial must have more than: more where the validation set says nothing of it, but for
@@ -88,12 +107,21 @@ class Chosen:
         if own is not None and own.accepted is not None:
             return cls(trial.key, trial.occam, own, own.accepted.gain)
         assert stage is not None
-        return cls(trial.key, trial.occam, stage, gain)
+        return cls(trial.key, trial.occam, stage.naming(trial), gain)
+
+    @property
+    def tried(self) -> Trial:
+        """Its trial in the stage, with the gain that it had."""
+        return next(t for t in self.stage.trials if t.key == self.key)
 
     @property
     def trial(self) -> Trial:
         """Its trial in the stage, with the gain that it has."""
-        return replace(next(t for t in self.stage.trials if t.key == self.key), gain=self.gain)
+        return replace(self.tried, gain=self.gain)
+
+    def named(self, name: str) -> Chosen:
+        """The same effect under another of the names that a joint may have of it."""
+        return replace(self, key=(name, self.key[1]), stage=self.stage.naming(self.tried.named(name)))
 
 
 @dataclass(frozen=True)
@@ -122,6 +150,26 @@ class SelectionState:
     def keys(self) -> tuple[Key, ...]:
         """(name, joint) of the chosen effects."""
         return tuple(chosen.key for chosen in self.chosen)
+
+    def others(self, stage: Stage) -> Iterator[Trial]:
+        """Trials of a stage of what the model lacks: of what a joint may have several of under a name that is free."""
+        for trial in stage.trials:
+            if trial.key not in self.keys:
+                yield trial
+            elif trial.possible and (other := trial.beside(self.model.point.effects)) is not None:
+                yield other
+
+    @property
+    def numbered(self) -> SelectionState:
+        """The state where those that a joint has several of are numbered in the order of their places."""
+        effects, chosen = list(self.model.point.effects), list(self.chosen)
+        for first, joint in dict.fromkeys((KINDS[name].first, joint) for name, joint in self.keys):
+            names = KINDS[first].names
+            own = [n for n, (name, on) in enumerate(self.keys) if on == joint and name in names]
+            for name, n in zip(names, sorted(own, key=lambda n: effects[n].place)):
+                effects[n], chosen[n] = replace(effects[n], kind=KINDS[name]), chosen[n].named(name)
+        point = replace(self.model.point, effects=tuple(effects))
+        return replace(self, model=replace(self.model, point=point), chosen=tuple(chosen))
 
     @property
     def rubbing(self) -> frozenset[int | None]:
