@@ -79,3 +79,35 @@ def test_a_gap_beyond_all_that_are_tried_at_first_is_found():
     assert max(FITTING.threshold_starts) * values["gap"] < 0.4 * true.values["gap"]
     found = trials.run(base, Scored("backlash", 1, 0.0, best=grid, values=values))
     assert found.effect.values["gap"] == pytest.approx(true.values["gap"], rel=0.05)
+
+
+def ended(base, effect):
+    """The trial of an effect whose fit ended at these values, with the parameters of the base."""
+    scored = Scored(effect.kind.name, 1, 0.0, values=dict(effect.values))
+    point = base.with_effect(effect)
+    errors = base.fit.errors(point)
+    at = Fitted(point, errors, base.fit.objective(errors, point), tuple((0, name) for name in effect.values))
+    return Trial(scored, base.model.objective - at.objective, 0.0, at, 0.0)
+
+
+def test_a_spring_that_ended_far_away_starts_from_the_stop_that_it_is_inside_of():
+    base, trials, state = lacking(parse_effect("joint_spring:joint=1,stiffness=0.4,angle=2.5"))
+    stop = ended(base, parse_effect("soft_stop:joint=1,lower=2.5,upper=9.0,stiffness=0.4,damping=0"))
+    lost = ended(base, parse_effect("joint_spring:joint=1,stiffness=0.05,angle=9.0"))
+    assert stop.gain > lost.gain + 100.0
+    spring, same = Refits(trials, KINDS).from_containing(replace(state, trials=(lost, stop))).trials
+    assert same is stop and spring.gain > stop.gain - 1.0
+    # weight and gain of the drive answer to it, too
+    assert spring.effect.values["stiffness"] == pytest.approx(0.4, rel=0.3)
+    assert spring.effect.values["angle"] == pytest.approx(2.5, rel=0.1)
+
+
+@pytest.mark.parametrize("beyond, refused", [(1.4, False), (1.6, True)])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_spring_whose_torque_varies_by_less_than_half_of_its_mean_is_a_constant_torque(beyond, refused, side):
+    low, high = -1.9, -1.4
+    angle = (high if side > 0.0 else low) + side * beyond * (high - low)
+    torques = [low - angle, high - angle]
+    assert (abs(torques[1] - torques[0]) < 0.5 * abs(sum(torques)) / 2.0) == refused
+    illegal = KINDS["joint_spring"].screening.illegal
+    assert (illegal({"stiffness": 30.0, "angle": angle}, low, high) is not None) == refused

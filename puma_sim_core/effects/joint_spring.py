@@ -37,9 +37,10 @@ def spring(signals: Signals, joint: int) -> list[Candidate]:
 
 
 def far(values: Values, low: float, high: float) -> str | None:
-    """Where the spring is slack more than half of the range `low` to `high` beyond it: its torque varies by less than
-    half of its mean there, and is told from a constant one by nothing else. None where it is not."""
-    angle, beyond = values["angle"], 0.5 * (high - low)
+    """Where the spring's torque varies by less than half of its mean over the range `low` to `high`, and is told from a
+    constant one by nothing else; None where it varies by more. With R the range and d from there to where it is slack
+    the two are K R and K (d + R/2), so that d is 1.5 R."""
+    angle, beyond = values["angle"], 1.5 * (high - low)
     if low - beyond <= angle <= high + beyond:
         return None
     return f"slack at {angle:.3g} rad, far outside the range {low:.3g} to {high:.3g} rad, and all but a constant torque"

@@ -6,11 +6,12 @@ Each method is a pass: it takes a state of the selection and gives one with othe
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
 from puma_sim_core.effects import Effect, Kind
-from puma_sim_core.effects.base import Role
+from puma_sim_core.effects.base import Parameter, Role
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.identify.fitting.dispersion import errors_between
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit, bounded
@@ -48,7 +49,7 @@ class Refits:
         return _with_trials(state, again)
 
     def from_containing(self, state: SelectionState) -> SelectionState:
-        """A trial of an effect starts from one that contains it, with that one's size, where it is better there."""
+        """A trial of an effect starts from one that contains it, with the values of that, where it is better there."""
         fit = PredictionFit(self.predictor, state.noise)
 
         def again(trial: Trial) -> Trial:
@@ -245,12 +246,23 @@ def _sizes(effect: Effect) -> dict[str, float]:
 
 
 def _levels(effect: Effect, rich: Effect) -> Iterator[dict[str, float]]:
-    """Values of an effect with sizes of one that contains it."""
+    """Values of an effect with those of one that contains it: one size, or all that says how stiff and where it is."""
+    same = {p.name: _of_role(rich, p) for p in effect.kind.parameters}
     for p in effect.kind.parameters:
+        sizes = same[p.name]
         if p.role is Role.SIZE:
-            sizes = [rich.values[q.name] for q in rich.kind.parameters if q.role is Role.SIZE and q.unit == p.unit]
             for size in (*sizes, float(np.mean(sizes)) if sizes else 0.0):
                 yield {**effect.values, p.name: size}
+    others = [p.name for p in effect.kind.parameters if p.role is not Role.SIZE and same[p.name]]
+    if others:
+        for values in product(*(same[name] for name in others)):
+            yield {**effect.values, **dict(zip(others, values))}
+
+
+def _of_role(effect: Effect, parameter: Parameter) -> list[float]:
+    """Values of an effect's parameters of the role and unit of another one's."""
+    own = [p for p in effect.kind.parameters if p.role is parameter.role and p.unit == parameter.unit]
+    return [effect.values[p.name] for p in own]
 
 
 def _of_size(effect: Effect, share: float) -> Effect:
