@@ -24,8 +24,8 @@ def test_a_spring_that_a_fit_took_far_outside_the_motion_is_a_constant_torque():
     _, trials, _ = lacking(parse_effect("coulomb_friction:joint=1,torque=0.05"))
     position = trials.problem.sampled.position[:, 0]
     low, high = float(position.min()), float(position.max())
-    for share, refused in ((-0.6, True), (-0.4, False), (0.5, False), (1.4, False), (1.6, True)):
-        spring = parse_effect(f"joint_spring:joint=1,stiffness=0.5,angle={low + share * (high - low)}")
+    for share, refused in ((-1.6, True), (-1.4, False), (0.5, False), (2.4, False), (2.6, True)):
+        spring = parse_effect(f"joint_spring:joint=1,stiffness=0.1,angle={low + share * (high - low)}")
         assert ("far outside the range" in (trials.implausible(spring) or "")) == refused
 
 
