@@ -70,3 +70,30 @@ def test_a_rival_is_tried_in_the_form_that_suits_what_was_found_later():
     without, _ = fit.to_end(Point(PENDULUM.start, (later,)), ((0, "voltage"),), times=8, gain=0.1)
     gained = without.objective - left.model.objective
     assert left.chosen[1].gain + left.chosen[1].occam == pytest.approx(gained, abs=FITTING.finished)
+
+
+def test_an_effect_that_ended_where_no_machine_has_it_is_withdrawn():
+    """Seen on a lever that is lifted once: a spring was tried within the limit, and slack at -3.6 rad in the end."""
+    base, trials, state = lacking(parse_effect("coulomb_friction:joint=1,torque=0.05"))
+    friction = parse_effect("coulomb_friction:joint=1,torque=0.05")
+    near, far = (parse_effect(f"joint_spring:joint=1,stiffness=0.1,angle={angle}") for angle in (0.5, 9.0))
+    accepted = []
+    for effect in (friction, near):
+        fitted = base.fit.run(base.with_effect(effect), (), rounds=2)
+        accepted.append(Trial(Scored(effect.kind.name, 1, 100.0, values=dict(effect.values)), 100.0, 9.0, fitted, 5.0))
+    history = tuple(Stage(tuple(accepted), Threshold.alike(16.0), base.model, each) for each in accepted)
+    chosen = tuple(Chosen.of(each, history) for each in accepted)
+
+    def ending(spring):
+        model = base.fit.run(Point(base.model.point.theta, (friction, spring)), (), rounds=2)
+        return replace(state, model=model, history=history, chosen=chosen)
+
+    elimination = Elimination(trials, KINDS)
+    kept = ending(near)
+    assert elimination.withdraw(kept) is kept
+    left = elimination.withdraw(ending(far))
+    assert left.keys == (("coulomb_friction", 1),) == tuple((e.kind.name, e.joint) for e in left.model.point.effects)
+    assert [stage.accepted and stage.accepted.key for stage in left.history] == [("coulomb_friction", 1), None]
+    for stage in left.history:
+        assert stage.refuting.key == ("joint_spring", 1) and "far outside the range" in stage.refuting.problem
+        assert {t.key for t in stage.trials if t.possible} == {("coulomb_friction", 1)}

@@ -57,6 +57,22 @@ class Elimination:
         """Replace effects that come out as one that they contain, whose fit may not have ended when tried. A pass."""
         return reduce(self._simplified, range(len(state.chosen)), state)
 
+    def withdraw(self, state: SelectionState) -> SelectionState:
+        """Take out effects of which no machine has the values that the model has come to: a trial's fit need not have
+        ended. What the log asks for and no machine has refutes that nothing is missing. A pass."""
+        for number, effect in enumerate(state.model.point.effects):
+            problem = self.trials.implausible(effect)
+            if problem is None:
+                continue
+            fit, rest = PredictionFit(self.predictor, state.noise), _less(state.model.point.effects, number)
+            at = Point(state.model.point.theta, rest)
+            model, _ = fit.to_end(at, self.trials.free(at))
+            gone = replace(state.chosen[number].trial, problem=problem)
+            history = tuple(stage.less(gone) for stage in state.history)
+            left = replace(state, model=model, jacobian=None, chosen=_less(state.chosen, number), history=history)
+            return self.withdraw(left)
+        return state
+
     def confirm(self, state: SelectionState) -> SelectionState:
         """Remove effects that were accepted beside a noise that was refused and that the present noise does not ask
         for; the others have no more than their gain in it. A pass."""

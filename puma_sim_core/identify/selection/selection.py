@@ -83,7 +83,12 @@ class Selection:
         #: after a stage that accepted an effect
         self.addition: tuple[Pass, ...] = (self.add, elimination.eliminate)
         #: after the last stage
-        self.conclusion: tuple[Pass, ...] = (elimination.simplify, elimination.confirm, self.finish)
+        self.conclusion: tuple[Pass, ...] = (
+            elimination.simplify,
+            elimination.confirm,
+            elimination.withdraw,
+            self.finish,
+        )
 
     def run(self, theta: Floats) -> SelectionState:
         """Add effects until none is asked for. theta : parameters by the screening of filtered motion."""

@@ -68,6 +68,14 @@ class Stage:
     unclear: frozenset[Key] = frozenset()
     refuting: Trial | None = None
 
+    def less(self, gone: Trial) -> Stage:
+        """The stage with a trial that may not be named after all, which refutes that nothing is missing."""
+        if all(t.key != gone.key for t in self.trials):
+            return replace(self, refuting=self.refuting or gone)
+        accepted = None if self.accepted is not None and self.accepted.key == gone.key else self.accepted
+        trials = tuple(gone if t.key == gone.key else t for t in self.trials)
+        return replace(self, trials=trials, accepted=accepted, refuting=self.refuting or gone)
+
     def naming(self, trial: Trial) -> Stage:
         """The stage with a trial of it under the name that it has among the chosen effects."""
         if any(t is trial for t in self.trials):
