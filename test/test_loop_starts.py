@@ -10,7 +10,7 @@ import pytest
 from loop_fits import PENDULUM, lacking
 
 from puma_sim_core.effects import KINDS, Effect, parse_effect
-from puma_sim_core.identify.fitting.prediction import Fitted
+from puma_sim_core.identify.fitting.prediction import Fitted, Point
 from puma_sim_core.identify.fitting.trials import Trial, Trials
 from puma_sim_core.identify.screening.evidence import Scored
 from puma_sim_core.identify.selection.refits import Refits
@@ -111,3 +111,12 @@ def test_a_spring_whose_torque_varies_by_less_than_half_of_its_mean_is_a_constan
     assert (abs(torques[1] - torques[0]) < 0.5 * abs(sum(torques)) / 2.0) == refused
     illegal = KINDS["joint_spring"].screening.illegal
     assert (illegal({"stiffness": 30.0, "angle": angle}, low, high) is not None) == refused
+
+
+def test_a_start_about_which_the_model_cannot_be_run_is_none():
+    """Seen on a blind record: an elasticity beside the parameters of an earlier trial ended it with an error."""
+    base, trials, state = lacking(parse_effect("coulomb_friction:joint=1,torque=0.05"))
+    found = ended(base, parse_effect("coulomb_friction:joint=1,torque=0.04"))
+    nowhere = Point(base.model.point.theta, (parse_effect("joint_elasticity:joint=1,stiffness=1000,damping=1000"),))
+    assert base.fit.errors(nowhere) is None
+    assert Refits(trials, KINDS)._better(state, found, nowhere, found.model.point) is found

@@ -229,8 +229,11 @@ class Refits:
         return min(fits, key=lambda f: f.objective, default=None)
 
     def _better(self, state: SelectionState, trial: Trial, about: Point, start: Point) -> Trial:
-        """A trial, or that from another start with derivatives about a point, by their gains."""
+        """A trial, or that from another start with derivatives about a point, by their gains; the trial where the model
+        cannot be run there: an elasticity beside other parameters may not stay finite."""
         fit = PredictionFit(self.predictor, state.noise)
+        if fit.errors(about) is None:
+            return trial
         jacobian = fit.derivatives(about, state.model.names, state.nearby)
         found = self.trials.run(self.trials.base(state.model, state.noise, jacobian), trial.scored, start)
         return max(trial, found, key=lambda t: t.gain)
