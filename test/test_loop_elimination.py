@@ -94,6 +94,6 @@ def test_an_effect_that_ended_where_no_machine_has_it_is_withdrawn():
     left = elimination.withdraw(ending(far))
     assert left.keys == (("coulomb_friction", 1),) == tuple((e.kind.name, e.joint) for e in left.model.point.effects)
     assert [stage.accepted and stage.accepted.key for stage in left.history] == [("coulomb_friction", 1), None]
-    for stage in left.history:
+    for stage in (*left.history, left.chosen[0].stage):
         assert stage.refuting.key == ("joint_spring", 1) and "far outside the range" in stage.refuting.problem
         assert {t.key for t in stage.trials if t.possible} == {("coulomb_friction", 1)}

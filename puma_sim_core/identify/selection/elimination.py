@@ -69,8 +69,9 @@ class Elimination:
             model, _ = fit.to_end(at, self.trials.free(at))
             gone = replace(state.chosen[number].trial, problem=problem)
             history = tuple(stage.less(gone) for stage in state.history)
-            left = replace(state, model=model, jacobian=None, chosen=_less(state.chosen, number), history=history)
-            return self.withdraw(left)
+            # nor may it be tied with one that stays
+            chosen = tuple(replace(c, stage=c.stage.less(gone)) for c in _less(state.chosen, number))
+            return self.withdraw(replace(state, model=model, jacobian=None, chosen=chosen, history=history))
         return state
 
     def confirm(self, state: SelectionState) -> SelectionState:
