@@ -205,6 +205,21 @@ def test_a_limit_starts_from_the_nominal_parameters_at_the_level_that_suits_thes
     assert np.all(np.abs(again.model.point.theta - PENDULUM.start) < 0.2 * PENDULUM.deviations)
 
 
+def test_a_trial_worse_than_the_model_without_it_starts_from_that_model():
+    """Its parameters are those of a model that was fitted on since."""
+    true = parse_effect("coulomb_friction:joint=1,torque=0.05")
+    base, trials, state = lacking(true)
+    good = trials.run(base, Scored("coulomb_friction", 1, 0.0, values=dict(true.values), occam=3.0))
+    far = Point(PENDULUM.start + np.array([5.0, 0.0, 0.0, 0.0]) * PENDULUM.deviations, (true,))
+    errors = base.fit.errors(far)
+    left = replace(good.model, point=far, errors=errors, objective=base.fit.objective(errors, far))
+    left = replace(good, fitted=left, gain=base.model.objective - left.objective - good.occam)
+    assert left.gain < -100.0 and good.gain > 100.0
+    refits = Refits(trials, KINDS)
+    assert refits.from_base(replace(state, trials=(left,))).trials[0].gain == pytest.approx(good.gain, abs=1.0)
+    assert refits.from_base(replace(state, trials=(good,))).trials == (good,)
+
+
 def test_a_trial_by_itself_is_fitted_to_its_end_where_the_validation_set_speaks_against_it():
     base, trials, state, tried = limited()
     refits = Refits(trials, KINDS)

@@ -222,6 +222,22 @@ class Refits:
 
         return replace(state, model=model, jacobian=jacobian, trials=tuple(map(over, state.trials)))
 
+    def from_base(self, state: SelectionState) -> SelectionState:
+        """Trials that fit worse than the model without their effect start from that model, where it was fitted on since
+        they were made (`rebased`): theirs are the parameters of a worse one. With two masses it would take too long."""
+        fitted = (t for t in state.trials if t.fitted is not None and not t.model.point.two_mass)
+        worse = {t.key for t in fitted if t.model.objective > state.model.objective}
+        if state.model.point.two_mass or not worse:
+            return state
+        base = self.trials.base(state.model, state.noise, state.derivatives)
+
+        def again(trial: Trial) -> Trial:
+            if trial.key not in worse:
+                return trial
+            return max(trial, self.trials.run(base, trial.scored), key=lambda t: t.gain)
+
+        return _with_trials(state, again)
+
     def _simpler(self, trial: Trial, trials: tuple[Trial, ...]) -> Fitted | None:
         """The best fit of an effect that a trial contains, on its joint."""
         contains = self.library[trial.name].contains

@@ -70,6 +70,8 @@ class Selection:
             refits.from_nested,
             refits.from_containing,
             refits.from_previous,
+            refits.rebased,
+            refits.from_base,
             refits.from_nominal,
             refits.rebased,
             self.estimate_noise,
