@@ -15,7 +15,7 @@ def effect(name, joint, ties=(), **sizes):
     }
 
 
-def report(verdict, *effects, shape=None):
+def report(verdict, *effects, shape=None, faults=()):
     stages = {stage: [1.0] for stage in ("nominal", "retuned", "augmented", "floor")}
     return {
         "verdict": verdict,
@@ -25,7 +25,7 @@ def report(verdict, *effects, shape=None):
         "errors": {"fit": None, "held_out": {"voltage_rms": stages, "position_rms": stages}, "unseen": None},
         "position_unit": "rad",
         "voltage_unit": "V",
-        "faults": [],
+        "faults": [{"channel": channel} for channel in faults],
     }
 
 

@@ -195,6 +195,9 @@ WANTED = Expected(("NAMED",), names=FRICTION, wrong=("backlash@1",), sure=("fit"
         (report("UNNAMED", shape=("velocity", 1)), WANTED, "wrong"),
         (report("NOTHING_MISSING"), WANTED, "wrong"),
         (report("NOTHING_MISSING"), Expected(("NOTHING_MISSING",), others_wrong=True), "right"),
+        (report("DATA_FAULT", faults=["voltage1"]), Expected(("DATA_FAULT",), faults=("voltage1",)), "right"),
+        (report("DATA_FAULT", faults=["time"]), Expected(("DATA_FAULT",), faults=("voltage1",)), "wrong"),
+        (report("UNNAMED"), Expected(("UNNAMED", "DATA_FAULT"), faults=("voltage1",)), "right"),
         (
             report("NAMED", effect("coulomb_friction", 1)),
             Expected(("NAMED",), names=(("coulomb_friction@1",), ("payload",))),

@@ -27,7 +27,7 @@ _RIG = ("title", "folder", "source", "mechanism", "columns", "development_logs",
 _RIG_OPTIONAL = ("mechanism", "columns", "needs", "test_logs")
 _RUN = ("name", "role", "logs", "held_out", "spare", "expected", "reference", "variants", "needs")
 _RUN_OPTIONAL = ("held_out", "spare", "reference", "variants", "needs")
-_EXPECTED = ("verdicts", "names", "beside", "wrong", "others_wrong", "sizes", "sure", "words", "note")
+_EXPECTED = ("verdicts", "names", "beside", "wrong", "others_wrong", "faults", "sizes", "sure", "words", "note")
 _SIZE = ("of", "value", "tolerance", "intervals", "unit", "source", "sure")
 _REFERENCE = ("value", "unit", "measure", "source", "computed", "seconds", "cutoff", "logs")
 
@@ -66,8 +66,9 @@ class Expected:
     """What is right of an answer.
 
     verdicts : those that are right; names : of each entry one effect must be named; beside : effects that may be named
-    besides; wrong : effects that are wrong; others_wrong : so are all that are not listed; sure : see `SURE`;
-    words : the expected answer in one line, where the names are many; note : what else is known of it.
+    besides; wrong : effects that are wrong; others_wrong : so are all that are not listed; faults : channels that a
+    refusal must name; sure : see `SURE`; words : the expected answer in one line, where the names are many; note : what
+    else is known of it.
     """
 
     verdicts: tuple[str, ...]
@@ -75,6 +76,7 @@ class Expected:
     beside: tuple[str, ...] = ()
     wrong: tuple[str, ...] = ()
     others_wrong: bool = False
+    faults: tuple[str, ...] = ()
     sizes: tuple[Size, ...] = ()
     sure: tuple[str, ...] = ()
     words: str = ""
@@ -233,6 +235,7 @@ def _expected(reader: Reader, at: str, entry: Any) -> Expected:
         beside=tuple(entry.get("beside", ())),
         wrong=tuple(entry.get("wrong", ())),
         others_wrong=bool(entry.get("others_wrong", False)),
+        faults=tuple(entry.get("faults", ())),
         sizes=tuple(_size(reader, f"{at}.sizes[{n}]", each) for n, each in enumerate(entry.get("sizes", ()))),
         sure=tuple(entry["sure"]),
         words=entry.get("words", ""),

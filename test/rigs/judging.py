@@ -55,6 +55,9 @@ def judge(report: Mapping[str, Any] | None, expected: Expected) -> dict[str, Any
     names, ties, why, open_ = list(map(_first, said(report))), list(map(_first, tied(report))), [], []
     if report["verdict"] not in expected.verdicts:
         why.append(f"verdict {report['verdict']}")
+    refused = {fault["channel"] for fault in report.get("faults", ())}
+    if expected.faults and refused and refused != set(expected.faults):
+        why.append(f"refused for {', '.join(sorted(refused))}")
     for alternatives in expected.names:
         if not set(alternatives) & set(names):
             found = [name for name in alternatives if name in ties]

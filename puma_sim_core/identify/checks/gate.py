@@ -1,10 +1,10 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The gate: rows that cannot be used are left out; a log is refused where a channel is wrong, or too little is left.
 
-In order: numbers that are missing, and time stamps; channels that are not what they are called; rows and runs that no
-drive can make; a log of another plant. Each check presupposes those before it. A log is split where rows are left out
-or time is missing, and each part is checked again by itself; whole channels are judged by the longest part. Rows count
-from 1, the first row of numbers; a fault of a whole channel has none.
+In order: numbers that are missing, and time stamps; a motion that the drives did not make; channels that are not what
+they are called; rows and runs that no drive can make; a log of another plant. Each check presupposes those before it. A
+log is split where rows are left out or time is missing, and each part is checked again by itself; whole channels are
+judged by the longest part. Rows count from 1, the first row of numbers; a fault of a whole channel has none.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from puma_sim_core.identify.checks.row_faults import (
     time_faults,
     voltage_spikes,
 )
+from puma_sim_core.identify.checks.undriven import undriven
 from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.data.sampling import shortest_span
 from puma_sim_core.identify.result import Fault
@@ -209,6 +210,7 @@ def _still(parts: Sequence[Log], mechanism: Mechanism) -> list[str]:
 #: whether a check is of rows or of whole channels, and the check, in their order
 _STAGES: tuple[tuple[bool, Finder], ...] = (
     (True, _numbers_and_times),
+    (False, undriven),
     (False, _named_wrongly),
     (True, position_faults),
     (True, _coarsely(frozen_voltages)),

@@ -152,6 +152,16 @@ class Checks:
     start_excess: float = 3.0
     start_elsewhere: float = 0.05  #: share of its rows whose position or voltage is not met again
 
+    #: a motion that no drive made (`undriven`). What the input has beyond what the position gives is less than this
+    #: share of it: 0.003 where a hand moved a pendulum, 0.25 and more in the development logs of other machines and in
+    #: the committed records
+    undriven_own: float = 0.02
+    #: and less than this share of the torque that the accelerations need beyond what position and velocity give. With
+    #: a plausible inertia (`plausibility_inertial`) it is 0.3 at least; 0.016 there, 0.18 and more in the others
+    undriven_share: float = 0.1
+    #: and that torque is more than this share of all that the accelerations need: 0.999 there
+    undriven_left: float = 0.5
+
     zero_clearer: float = 20.0  #: what its gain must exceed that of every effect that may be named by [nat]
 
 
