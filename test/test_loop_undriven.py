@@ -84,6 +84,15 @@ def test_a_swing_by_its_own_weight_is_not_refused():
     assert check(log, pendulum).faults == ()
 
 
+def test_a_fall_into_a_stop_is_not_refused():
+    pendulum = MECHANISMS["pendulum"]
+    stop = parse_effect("soft_stop:joint=1,lower=-9,upper=-0.4,stiffness=3,damping=0.002")
+    bears = weight(pendulum)
+    log = moved(pendulum, lambda t, q: 0.5 * bears(t, q), nothing, (stop,), start=-1.5)
+    assert log.position.max() > -0.4
+    assert check(log, pendulum).faults == ()
+
+
 def test_a_joint_that_is_held_in_place_while_a_hand_moves_it_is_refused():
     """The voltage is the controller's answer to the position, and tells of it alone."""
     pendulum = MECHANISMS["pendulum"]

@@ -207,9 +207,7 @@ class Plausibility:
             (np.full(len(v), unit), offset),
             (unit * (q - q.mean()) / reach, offset),
         ]
-        for share in CHECKS.plausibility_stops:
-            listed.append((unit * np.maximum(q - (q.max() - share * reach), 0.0) / reach, (0.0, np.inf)))
-            listed.append((unit * np.minimum(q - (q.min() + share * reach), 0.0) / reach, (0.0, np.inf)))
+        listed += [(unit * past, (0.0, np.inf)) for past in ends(q)]
         listed += [
             (gravity[:, other], CHECKS.plausibility_others)
             for other in range(c.joints)
@@ -253,6 +251,15 @@ class Plausibility:
     def shares(self, fits: Sequence[Fit], floor: float = CHECKS.plausibility_floor) -> Floats:
         """(J,) `share` of each joint."""
         return np.array([self.share(fit, joint, floor) for joint, fit in enumerate(fits)])
+
+
+def ends(q: Floats) -> list[Floats]:
+    """How far positions (n,) are past where stops may begin, at either end of the travel and as shares of it."""
+    reach, found = float(np.ptp(q)) or 1.0, list[Floats]()
+    for share in CHECKS.plausibility_stops:
+        found.append(np.maximum(q - (q.max() - share * reach), 0.0) / reach)
+        found.append(np.minimum(q - (q.min() + share * reach), 0.0) / reach)
+    return found
 
 
 def soft_threshold(values: Floats, limit: float) -> Floats:

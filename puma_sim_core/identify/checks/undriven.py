@@ -2,15 +2,15 @@
 """A motion that the drives did not make, such as that of an arm that bears its weight while a hand moves it.
 
 The torques of the drives then follow from the position alone, by the law of the controller, and a machine that is left
-to itself under such torques swings: its accelerations follow from position and velocity. Where they do not, something
-moves it that the log does not have. Fits to such a log give the controller, not the machine (Soederstroem, Gustavsson
-and Ljung 1975, Int. J. Control 21:243).
+to itself under such torques swings, or falls into a stop: its accelerations follow from position and velocity. Where
+they do not, something moves it that the log does not have. Fits to such a log give the controller, not the machine
+(Soederstroem, Gustavsson and Ljung 1975, Int. J. Control 21:243).
 """
 
 import numpy as np
 
 from puma_sim_core.identify.arrays import Floats
-from puma_sim_core.identify.checks.plausibility import Plausibility
+from puma_sim_core.identify.checks.plausibility import Plausibility, ends
 from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.data.sampling import sample, shortest_span
 from puma_sim_core.identify.result import Fault
@@ -37,7 +37,7 @@ def undriven(part: Log, model: Plausibility) -> list[Fault]:
     for j, scale in enumerate(mechanism.torque_scale):
         own_weights = weights[:, j][:, weights[:, j].any(axis=0)]
         at_rest = np.column_stack([np.ones(len(kept)), s.second(np.column_stack([q, own_weights]))[kept]])
-        moving = s.second(np.column_stack([qd[:, j], dry[:, j]]))[kept]
+        moving = s.second(np.column_stack([qd[:, j], dry[:, j], *ends(q[:, j])]))[kept]
         own = _rms(_beyond(at_rest, given[:, j]))
         needed = _beyond(np.column_stack([at_rest, moving]), inertial[:, j])
         if own > CHECKS.undriven_own * np.std(given[:, j]) or own > CHECKS.undriven_share * _rms(needed):
