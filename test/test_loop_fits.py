@@ -329,20 +329,28 @@ def test_a_level_that_stuck_far_off_starts_from_the_one_of_what_contains_it():
     assert refits.from_containing(replace(state, trials=(lost,))).trials[0] is lost
 
 
-def test_a_share_that_a_short_log_does_not_tell_is_none_on_a_bound():
+@pytest.mark.parametrize(
+    "text, volts, noise, least, most",
+    [
+        ("friction_warm_up:joint=2,share=0.85,time_constant=8", NOISE, 1e-5, 0.1, 0.95),
+        ("resistance_drift:joint=2,share=0.3,time_constant=30", 0.1, 3e-5, 0.05, 0.8),
+    ],
+)
+def test_a_share_that_a_short_log_does_not_tell_is_none_on_a_bound(text, volts, noise, least, most):
     arm = load_mechanism()
-    true = parse_effect("friction_warm_up:joint=2,share=0.85,time_constant=8")
+    true = parse_effect(text)
     plant = arm.plant(effects=(true,))
-    log = record(arm, plant, volts=NOISE, noise=1e-5, seconds=4.0)
-    problem, _, predictor = pieces(arm, log, NOISE, 1e-5)
+    log = record(arm, plant, volts=volts, noise=noise, seconds=4.0)
+    problem, _, predictor = pieces(arm, log, volts, noise)
     fit = PredictionFit(predictor, predictor.unfiltered_weighting(predictor.errors(plant)))
     ends = []
     for share in (0.2, 0.99):
-        start = Point(arm.start, (Effect(true.kind, 2, {"share": share, "time_constant": 8.0 * share / 0.85}),))
+        time_constant = true.values["time_constant"] * share / true.values["share"]
+        start = Point(arm.start, (Effect(true.kind, 2, {"share": share, "time_constant": time_constant}),))
         found, _ = fit.to_end(start, ((0, "share"), (0, "time_constant")))
         ends.append(found.point.effects[0])
     # the log tells how fast it begins, and the prior how far it goes
-    assert all(0.1 < end.values["share"] < 0.95 for end in ends)
+    assert all(least < end.values["share"] < most for end in ends)
     assert ends[0].values["share"] == pytest.approx(ends[1].values["share"], abs=0.1)
     assert all(Trials(predictor, problem).implausible(end) is None for end in ends)
 
@@ -391,6 +399,10 @@ def test_of_the_sizes_of_other_mechanisms_nothing_is_known_beforehand():
     fit, _ = fit_of(PENDULUM, effect)
     slopes, precision = fit.prior(Point(PENDULUM.start, (effect,)), [(0, "gap"), (0, "stiffness")])
     assert not slopes.any() and precision.max() < 1e-3
+    # but of a share as much
+    drift = parse_effect("resistance_drift:joint=1,share=0.8,time_constant=9")
+    slopes, precision = fit.prior(Point(PENDULUM.start, (drift,)), [(0, "share"), (0, "time_constant")])
+    assert slopes[0] > 1.0 < precision[0] and slopes[1] == 0.0
 
 
 def test_a_step_to_a_model_is_the_one_that_leads_there():

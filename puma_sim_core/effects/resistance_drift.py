@@ -10,6 +10,9 @@ from puma_sim_core.effects.screening import VOLTAGE_COLUMN, ByJoint, Candidate, 
 from puma_sim_core.effects.shared.columns import grown, positive, sized, warming
 from puma_sim_core.jit import Table, inlined
 
+#: growth on machines, middle and one deviation: a log shorter than the time constant tells only how fast it begins
+_SHARE = (0.2, 0.2)
+
 
 @inlined
 def resistance_growth(p: Table, k: int, time: float) -> float:
@@ -21,7 +24,7 @@ def drift(signals: Signals, joint: int) -> list[Candidate]:
     """k tau (1 - exp(-t/T)) for a grid of T; the coefficient is the share by which R grows."""
     volts = signals.volts_per_torque[joint] * signals.torque[:, joint]
     values = sized("share", positive, "growth of the resistance", "", 3.0)
-    return warming(signals, joint, volts, values, (0.2, 0.2), VOLTAGE_COLUMN)
+    return warming(signals, joint, volts, values, _SHARE, VOLTAGE_COLUMN)
 
 
 def known_voltage(signals: Signals, joint: int, values: Values, torque: np.ndarray) -> ByJoint:
@@ -37,7 +40,16 @@ EFFECT = Kind(
     equation="R(t) = R (1 + share (1 - exp(-t/T)))",
     sentence="The winding's resistance grows as the motor gets warm; at time 0 it is cold.",
     parameters=(
-        Parameter("share", "1", 0.0, 3.0, "growth of R in the end", SIZE, (0.05, 0.5)),
+        Parameter(
+            "share",
+            "1",
+            0.0,
+            3.0,
+            "growth of R in the end",
+            SIZE,
+            (0.05, 0.5),
+            prior=(_SHARE[0], (_SHARE[0] + _SHARE[1]) / _SHARE[0]),
+        ),
         Parameter("time_constant", "s", 0.01, 1e5, "T", RATE, (1.0, 600.0), neutral=1.0),
     ),
     laws=(Law(Point.RESISTANCE_FACTOR, resistance_growth),),

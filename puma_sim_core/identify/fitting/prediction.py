@@ -150,8 +150,10 @@ class PredictionFit:
 
     def _prior(self, effect: Effect, name: str) -> tuple[float, float]:
         """Distance of a parameter's logarithm from its prior, and one over its deviation; zeros without a prior."""
-        prior = effect.kind.parameter(name).prior
-        if prior is None or not self.mechanism.library_sized:
+        parameter = effect.kind.parameter(name)
+        prior = parameter.prior
+        # a share is the same on any machine
+        if prior is None or not (self.mechanism.library_sized or parameter.unit == "1"):
             return 0.0, 0.0
         median, one = prior[0], 1.0 / float(np.log(prior[1]))
         return one * float(np.log(max(effect.values[name], FITTING.prior_floor * median) / median)), one
