@@ -99,6 +99,16 @@ def test_a_joint_that_is_held_in_place_while_a_hand_moves_it_is_refused():
     assert faults(pendulum, lambda t, q: 2.0 * (0.4 - q), along(pendulum)) == ["voltage1"]
 
 
+def test_stamps_that_are_no_clock_are_not_put_on_a_grid():
+    """A grid by their middle step would have a million rows a second."""
+    pendulum = MECHANISMS["pendulum"]
+    log = moved(pendulum, weight(pendulum), along(pendulum))
+    bursts, ten = np.arange(len(log) // 10), np.arange(10)
+    time = np.repeat(0.1 * bursts, 10) + np.tile(1e-6 * ten, len(bursts))
+    (fault,) = check(Log("bursts", time, log.voltage, log.position), pendulum).faults
+    assert fault.channel == "time" and "very uneven times" in fault.what
+
+
 def test_the_refusal_says_what_is_expected():
     pendulum = MECHANISMS["pendulum"]
     explanation = explain(moved(pendulum, weight(pendulum), along(pendulum)), plant="pendulum")

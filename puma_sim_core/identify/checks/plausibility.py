@@ -84,9 +84,9 @@ def coarse(log: Log, cutoff: float = CHECKS.plausibility_cutoff) -> Coarse | Non
     """The part of a log below `cutoff` [Hz], None of a too short or uneven one; finite numbers and increasing times."""
     step = float(np.median(np.diff(log.time)))
     cutoff = min(cutoff, 0.2 / step)
-    n = int(log.span / step) + 1
-    if log.span < 4.0 * filters.edge(cutoff) or n > 4 * len(log):
+    if log.span < 4.0 * filters.edge(cutoff) or too_uneven(log):
         return None
+    n = int(log.span / step) + 1
     at = log.time[0] + step * np.arange(n)
     on = np.ones(log.voltage.shape) if log.enable is None else log.enable
 
@@ -101,6 +101,11 @@ def coarse(log: Log, cutoff: float = CHECKS.plausibility_cutoff) -> Coarse | Non
     every = max(1, int(0.15 / (cutoff * step)), (n - 2 * margin) // CHECKS.plausibility_rows)
     rows = slice(margin, n - margin, every)
     return Coarse(volts[rows], rate[rows], q[rows], qd[rows], qdd[rows], enable[rows], step * every)
+
+
+def too_uneven(log: Log) -> bool:
+    """Whether an even grid by the middle step of a log would have several times its rows."""
+    return int(log.span / float(np.median(np.diff(log.time)))) + 1 > 4 * len(log)
 
 
 @dataclass(frozen=True)
@@ -172,7 +177,7 @@ class Plausibility:
         dry = float(max(self.unit[joint] * x[_DRY_COLUMN] + x[_DRY_COLUMN + 1] * heaviest, 0.0))
         # a passive joint balances its weight with its motion
         acts = wanted if self.mechanism.driven[joint] else self.k[joint] * weight[counted, joint]
-        return Fit(int(counted.sum()), _rms(residual[counted]), float(np.std(acts)), dry, residual, counted)
+        return Fit(int(counted.sum()), rms(residual[counted]), float(np.std(acts)), dry, residual, counted)
 
     def torques(self, c: Coarse) -> tuple[Floats, Floats]:
         """(n, J) torque of the links, and the part of gravity."""
@@ -186,7 +191,7 @@ class Plausibility:
         beyond = soft_threshold(c.voltage[:, joint] - self.k[joint] * torque[:, joint], held)
         if not counted.any():
             return Fit(0, 0.0, 0.0, None, beyond, counted)
-        return Fit(0, _rms(beyond[counted]), float(np.std(c.voltage[counted, joint])), None, beyond, counted)
+        return Fit(0, rms(beyond[counted]), float(np.std(c.voltage[counted, joint])), None, beyond, counted)
 
     def _columns(self, c: Coarse, joint: int, torque: Floats, weight: Floats) -> tuple[Floats, Floats, Floats]:
         """Columns (n, p) [V] of a joint's voltage, and the bounds (p,) of their factors."""
@@ -267,5 +272,6 @@ def soft_threshold(values: Floats, limit: float) -> Floats:
     return np.sign(values) * np.maximum(np.abs(values) - limit, 0.0)
 
 
-def _rms(values: Floats) -> float:
+def rms(values: Floats) -> float:
+    """Root mean square of values (n,)."""
     return float(np.sqrt(np.mean(values**2)))

@@ -10,7 +10,7 @@ they do not, something moves it that the log does not have. Fits to such a log g
 import numpy as np
 
 from puma_sim_core.identify.arrays import Floats
-from puma_sim_core.identify.checks.plausibility import Plausibility, ends
+from puma_sim_core.identify.checks.plausibility import Plausibility, ends, rms, too_uneven
 from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.data.sampling import sample, shortest_span
 from puma_sim_core.identify.result import Fault
@@ -19,7 +19,8 @@ from puma_sim_core.identify.settings import CHECKS
 
 def undriven(part: Log, model: Plausibility) -> list[Fault]:
     """Faults of the inputs of a machine that something else moves: of all joints that are driven, or none."""
-    if part.span < shortest_span(float(np.median(np.diff(part.time)))) or not np.ptp(part.voltage, axis=0).any():
+    short = part.span < shortest_span(float(np.median(np.diff(part.time))))
+    if short or too_uneven(part) or not np.ptp(part.voltage, axis=0).any():
         return []
     mechanism, drive, theta, s = model.mechanism, model.drive, model.theta, sample([part])
     kept, q, qd, qdd = s.kept(), s.position, s.velocity, s.acceleration
@@ -38,11 +39,11 @@ def undriven(part: Log, model: Plausibility) -> list[Fault]:
         own_weights = weights[:, j][:, weights[:, j].any(axis=0)]
         at_rest = np.column_stack([np.ones(len(kept)), s.second(np.column_stack([q, own_weights]))[kept]])
         moving = s.second(np.column_stack([qd[:, j], dry[:, j], *ends(q[:, j])]))[kept]
-        own = _rms(_beyond(at_rest, given[:, j]))
+        own = rms(_beyond(at_rest, given[:, j]))
         needed = _beyond(np.column_stack([at_rest, moving]), inertial[:, j])
-        if own > CHECKS.undriven_own * np.std(given[:, j]) or own > CHECKS.undriven_share * _rms(needed):
+        if own > CHECKS.undriven_own * np.std(given[:, j]) or own > CHECKS.undriven_share * rms(needed):
             return []
-        alone = _rms(needed) > CHECKS.undriven_left * np.std(inertial[:, j])
+        alone = rms(needed) > CHECKS.undriven_left * np.std(inertial[:, j])
         moved |= bool(alone and np.abs(needed).max() > scale)
     return [
         Fault.of(
@@ -59,7 +60,3 @@ def undriven(part: Log, model: Plausibility) -> list[Fault]:
 def _beyond(columns: Floats, values: Floats) -> Floats:
     """What (n,) values have beyond (n, p) columns, by least squares."""
     return values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2)))
