@@ -17,13 +17,13 @@ STEP, SECONDS, NOISE = 2e-3, 10.0, 1e-5
 MECHANISMS = {name: load_mechanism(name) for name in ("pendulum", "puma560")}
 
 
-def moved(mechanism, law, hand, effects=(), start=0.4, seconds=SECONDS):
+def moved(mechanism, law, hand, effects=(), start=0.4):
     """A log of a machine whose drives have the voltages law(time, positions (J,)), and that a hand moves as much as
     further voltages hand(time, positions) would."""
     plant = mechanism.plant(effects=effects)
     simulator = Simulator(plant, max_step=1e-3)
     simulator.reset(np.full(mechanism.joints, start))
-    time, rng = np.arange(0.0, seconds, STEP), np.random.default_rng(5)
+    time, rng = np.arange(0.0, SECONDS, STEP), np.random.default_rng(5)
     position = np.empty((len(time), mechanism.joints))
     voltage = np.empty_like(position)
     for k, t in enumerate(time):
@@ -78,9 +78,9 @@ def test_a_motion_that_the_drives_make_is_not_refused(name):
 
 def test_a_swing_by_its_own_weight_is_not_refused():
     pendulum = MECHANISMS["pendulum"]
-    friction = parse_effect("coulomb_friction:joint=1,torque=0.01")
-    log = moved(pendulum, nothing, nothing, (friction,), start=1.2)
-    assert np.ptp(log.position) > 1.0
+    friction, bears = parse_effect("coulomb_friction:joint=1,torque=0.01"), weight(pendulum)
+    log = moved(pendulum, lambda t, q: -bears(t, q), nothing, (friction,), start=1.2)
+    assert np.ptp(log.position) > 1.0 and np.ptp(log.voltage) > 0.5
     assert check(log, pendulum).faults == ()
 
 
