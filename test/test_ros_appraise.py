@@ -10,8 +10,8 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import contextmanager
 from pathlib import Path
-from types import SimpleNamespace
 
 import jsonschema
 import numpy as np
@@ -282,12 +282,12 @@ def test_somebody_else_who_sends_commands_is_named(tmp_path):
 
 class Counting:
     """A controller in another participant, in a thread: it answers each state with how many it has had since `reset`,
-    a service that is seen only a while after the first answer, as on a busy machine."""
+    a service that is seen only some seconds `after` the first answer, as on a busy machine."""
 
-    def __init__(self, namespace: str) -> None:
+    def __init__(self, namespace: str, after: float = 0.5) -> None:
         self.peer = Peer(namespace, name="counting")
         self.peer.on_state = self.answer
-        self.states, self.service, self.made_at = 0, None, float("inf")
+        self.states, self.service, self.made_at, self.after = 0, None, float("inf"), after
         self.stop = threading.Event()
         self.thread = threading.Thread(target=self.spin)
 
@@ -299,7 +299,7 @@ class Counting:
 
     def answer(self, _state) -> None:
         self.states += 1
-        self.made_at = min(self.made_at, time.monotonic() + 0.5)
+        self.made_at = min(self.made_at, time.monotonic() + self.after)
         self.peer.commands.publish(Float64MultiArray(data=[float(self.states)] * 3))
 
     def reset(self, _request, response):
@@ -316,17 +316,37 @@ class Counting:
         self.peer.close()
 
 
-def test_a_service_that_is_seen_late_resets_all_the_same():
-    namespace, reference = f"/appraise{os.getpid()}_5", np.zeros((1, 3))
-    with Counting(namespace), Peer(namespace, interface=None, name="appraisal") as own:
+@contextmanager
+def met(number: int, **service):
+    """Topics that have met `Counting`, and a trial over them: what it answers to two states."""
+    namespace, reference = f"/appraise{os.getpid()}_{number}", np.zeros((1, 3))
+    with Counting(namespace, **service), Peer(namespace, interface=None, name="appraisal") as own:
         own.executor.remove_node(own.node)
         topics = Topics(own.node, ["joint1", "joint2", "joint3"], Patience(answer=PATIENCE, start=PATIENCE))
         topics.listen("voltage")
         topics.connect(reference, str)
-        answers = []
-        for _ in range(2):
+
+        def trial():
             topics.begin(reference)
-            answers += [topics.ask(0.0, reference[0], reference[0]) for _ in range(2)]
-        gone = SimpleNamespace(node_namespace=namespace, node_name="gone")
-        assert topics._reset_of(gone) == ""
-    assert answers == 2 * [(1.0, 1.0, 1.0), (2.0, 2.0, 2.0)]
+            return [topics.ask(0.0, reference[0], reference[0])[0] for _ in range(2)]
+
+        yield topics, trial
+
+
+def test_a_service_that_is_seen_late_resets_all_the_same():
+    with met(5) as (topics, trial):
+        assert [trial(), trial()] == [[1.0, 2.0], [1.0, 2.0]]
+        assert topics.objection() == ""
+
+
+def test_a_trial_before_which_a_service_was_not_seen_does_not_count(monkeypatch):
+    monkeypatch.setattr("puma_sim_ros.appraisal.topics._RESET", 0.2)
+    with met(6, after=2.0) as (topics, trial):
+        without, deadline = trial(), time.monotonic() + PATIENCE
+        assert without != [1.0, 2.0]
+        while not (why := topics.objection()):
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        assert "~/reset showed itself only after the trial had begun" in why
+        assert trial() == [1.0, 2.0]
+        assert topics.objection() == ""

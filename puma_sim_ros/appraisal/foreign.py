@@ -33,8 +33,8 @@ class Foreign:
         """The trial with the process; controller : what it is run with, `controller` by default."""
         self._reference = trial.reference[:: trial.per_setpoint]
         response = trial.run(controller or self.controller)
-        if self._running is not None and self._topics.extra() and not response.failed:
-            trial.fail("refused", "it sent more commands than it got states")
+        if self._running is not None and (why := self._topics.objection()) and not response.failed:
+            trial.fail("refused", why)
             response = trial.response()
         if response.end in ("late", "died", "refused"):
             # its next answers would be those of this trial; one that has only broken a rule can still end by itself

@@ -1,7 +1,6 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The topics between an appraisal and the process of a controller, in lockstep: one answer to each state."""
 
-import contextlib
 import time
 from array import array
 from collections import deque
@@ -10,7 +9,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node, NodeNameNonExistentError
+from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
@@ -25,9 +24,11 @@ STATES, SETPOINTS, REFERENCE = "joint_states", "setpoint", "reference"
 #: commands that wait: as many as a process that answers more than once may send before it is found out
 _DEPTH = 100
 #: seconds between two looks at whether the process lives; between two first states; after which no more answers to them
-#: come, which all wait at the same time; in which the service of a node whose name is known shows itself, for the
-#: middleware tells of each by itself; for answers that nobody asked for
-_LOOK, _AGAIN, _QUIET, _RESET, _EXTRA = 0.1, 1.0, 2.0, 2.0, 0.005
+#: come, which all wait at the same time; for answers that nobody asked for
+_LOOK, _AGAIN, _QUIET, _EXTRA = 0.1, 1.0, 2.0, 0.005
+#: seconds in which the service of a node whose name is known shows itself, for the middleware tells of each by itself:
+#: what was lost on the way is sent again each second (Fast DDS, `edp_heartbeat_period`), and may be lost again
+_RESET = 4.0
 _NS = 1_000_000_000
 
 
@@ -129,25 +130,25 @@ class Topics:
         """A client of the service ``~/reset`` of the node that sends commands; None where none shows itself in time."""
         since, known = time.monotonic(), False
         while not self._ended() and time.monotonic() < since + (_RESET if known else self._patience.answer):
-            senders = list(filter(self._new, self._senders()))
-            named = [info for info in senders if info.node_name != UNKNOWN]
-            if name := next(filter(None, map(self._reset_of, named)), ""):
+            if name := self._reset_name():
                 client = self._node.create_client(Trigger, name)
                 client.wait_for_service(self._patience.answer)
                 return client
-            if not known and len(named) == len(senders):
+            if not known and all(info.node_name != UNKNOWN for info in self._new_senders()):
                 since, known = time.monotonic(), True
             self._spin(_LOOK)
         return None
 
-    def _reset_of(self, info) -> str:
-        """The name of the service ``~/reset`` of a node, empty as long as none is known."""
-        own = f"{info.node_namespace.rstrip('/')}/{info.node_name}/reset"
-        services = []
-        # a process that has just ended is told of by the endpoints that it had
-        with contextlib.suppress(NodeNameNonExistentError):
-            services = self._node.get_service_names_and_types_by_node(info.node_name, info.node_namespace)
-        return own if any(name == own and "std_srvs/srv/Trigger" in types for name, types in services) else ""
+    def _new_senders(self):
+        return list(filter(self._new, self._senders()))
+
+    def _reset_name(self) -> str:
+        """The name of the service ``~/reset`` of the node that sends commands, empty as long as none is known."""
+        # of all services, for which of them a node has is told by another topic, which may be seconds behind
+        services = dict(self._node.get_service_names_and_types())
+        nodes = {f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in self._new_senders()}
+        own = sorted(f"{node}/reset" for node in nodes)
+        return next((name for name in own if "std_srvs/srv/Trigger" in services.get(name, ())), "")
 
     def leave(self) -> None:
         """Take no commands until the next `listen`: the process was ended, and what it has sent counts no more."""
@@ -172,6 +173,8 @@ class Topics:
         Raises Ending: it does not reset, or sends commands that nobody asked for.
         """
         self._since = time.monotonic()
+        if self._reset is None and self._reset_name():
+            self._reset = self._found_reset()
         if self._reset is not None:
             future = self._reset.call_async(Trigger.Request())
             self._wait(future.done, "~/reset")
@@ -222,6 +225,14 @@ class Topics:
                 raise Ending("late", f"{what} within {self._patience.answer:g} s")
             if now - self._since > self._patience.trial:
                 raise Ending("late", f"all answers of the trial took more than {self._patience.trial:g} s")
+
+    def objection(self) -> str:
+        """Why a trial that has come to its end does not count: a sentence, empty where it does."""
+        if self.extra():
+            return "it sent more commands than it got states"
+        if self._reset is None and self._reset_name():
+            return "its service ~/reset showed itself only after the trial had begun, which was not reset"
+        return ""
 
     def extra(self) -> bool:
         """Whether there are commands that nobody asked for; they are dropped."""
