@@ -4,6 +4,8 @@ which the log knows nothing."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from loop_logs import pieces, record
@@ -11,7 +13,7 @@ from loop_logs import pieces, record
 from puma_sim_core.effects.screening import VOLTAGE_COLUMN, Candidate
 from puma_sim_core.identify import explain
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
-from puma_sim_core.identify.residuals.shape import Curve, again, noise, simplest_first
+from puma_sim_core.identify.residuals.shape import Curve, again, axes, describe, noise, simplest_first
 from puma_sim_core.identify.residuals.unnamed import Unnamed
 from puma_sim_core.identify.screening.causal import CausalScreen
 from puma_sim_core.identify.screening.evidence import Estimate, Scored
@@ -84,6 +86,47 @@ def test_a_line_in_time_stays_the_same_in_another_noise():
     assert there.scored.gain > 20.0
     assert np.ptp(there.volts(other)[:, 0]) == pytest.approx(1.0, rel=0.25)
     assert not there.volts(other)[:, 1:].any()
+
+
+class Gap:
+    """A play of the voltage of joint 3, of which the log has what goes into it. half : half of its width [V]."""
+
+    def __init__(self, half):
+        self.half, self.left = half, 0.0
+
+    def __call__(self, t, simulator):
+        given = 3.0 * np.sin(2.1 * (t + 2.0)) + 2.0 * np.sin(5.3 * (t + 2.0))
+        self.left = min(max(self.left, given - self.half), given + self.half)
+        return [0.0, 0.0, self.left - given]
+
+
+@pytest.mark.parametrize("half", [0.15, 0.42])
+def test_one_gap_in_the_voltage_is_found_with_its_width(half):
+    log = record(ARM, ARM.plant(), 0.05, 2e-5, seconds=4.0, unlogged=Gap(half))
+    problem, _, predictor = pieces(ARM, log, 0.05, 2e-5)
+    found, chance = Unnamed(predictor, problem, seed=0).shapes(Fitted(Point(ARM.start, ()), np.zeros(0), 0.0, ()))
+    best = found[0]
+    assert (best.joint, best.axis.name, best.way) == (3, "voltage", "with the play of one gap")
+    assert best.scored.gain > chance
+    # with one height; an acceleration, which changes its sign as the voltage turns, is all but as good to a coarse bank
+    assert best.axis.knots == pytest.approx([2.0 * half], rel=0.1)
+    assert best.heights == pytest.approx([half], rel=0.1)
+    shape = describe(best, ())
+    assert shape.centre == pytest.approx([0.0, 2.0 * half], rel=0.1)
+    assert shape.curve == pytest.approx([-half, half], rel=0.1)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-2])
+def test_a_height_of_any_curve_is_a_voltage_whatever_the_voltages_of_the_machine(scale):
+    log = record(ARM, ARM.plant(), 0.05, 2e-5, seconds=2.0)
+    signals = pieces(ARM, log, 0.05, 2e-5)[0].signals(ARM.start)
+    banks = axes(replace(signals, voltage=scale * signals.voltage), 0)
+    plays = [bank for bank in banks if bank.way == "with hysteresis"]
+    assert {bank.name for bank in plays} == {"position", "voltage"}
+    for bank in banks:
+        # at its knot a curve is the height; a play once its width is used up
+        assert np.abs(bank.make()[:, -1]).max() == pytest.approx(1.0, abs=0.05)
+        assert np.abs(bank.make()).max() <= 1.0 + 1e-9
 
 
 def curve(joint, gain, knots):

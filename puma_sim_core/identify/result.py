@@ -107,6 +107,10 @@ class Errors:
     position_rms: StageErrors
 
 
+#: ways of an axis that remembers: a curve is then over its change since it last reversed
+HYSTERESIS, GAP = "with hysteresis", "with the play of one gap"
+
+
 @dataclass(frozen=True)
 class Shape:
     """The shape of what cannot be named.
@@ -114,7 +118,7 @@ class Shape:
     axis : "position", "velocity", "time", "voltage", "torque", "acceleration", "position of joint 2", "motor_angle",
     ...; joint (1-based); centre, curve (k,): the residual [V] over the axis, low, high (k,): its 95 % band; line_hz:
     frequency of a spectral line [Hz], None without; ranking: (axis, gain of log evidence) from the best on; way: how
-    the axis acts, "" for a plain curve, "with the sign of the velocity", "in fine steps", or "with hysteresis": the
+    the axis acts, "" for a plain curve, "with the sign of the velocity", ..., `HYSTERESIS` or `GAP`: the
     curve is then over the change of the axis since it last reversed.
     """
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from puma_sim_core.effects import KINDS
 from puma_sim_core.identify.report.text import PART_WORDS, is_augmented
-from puma_sim_core.identify.result import Drawn, Explanation, NamedEffect, StageErrors
+from puma_sim_core.identify.result import GAP, HYSTERESIS, Drawn, Explanation, NamedEffect, StageErrors
 from puma_sim_core.pages.figure import Figure, Layer
 from puma_sim_core.pages.text import scale, unit_text
 
@@ -76,7 +76,7 @@ def shape_of_the_unnamed(e: Explanation) -> Figure | None:
     factor, unit = scale([*shape.curve], e.voltage_unit)
     centre, low, high, curve = (np.asarray(v, dtype=float) for v in (shape.centre, shape.low, shape.high, shape.curve))
     words = _axis_words(shape.axis)
-    if shape.way == "with hysteresis":
+    if shape.way in (HYSTERESIS, GAP):
         words = f"change of the {words} since it last reversed"
     elif shape.way:
         words = f"{words}, {shape.way}"

@@ -18,7 +18,7 @@ from puma_sim_core.effects.screening import VOLTAGE_COLUMN, ByJoint, Candidate, 
 from puma_sim_core.identify.arrays import Complexes, Floats, Ints
 from puma_sim_core.identify.noise import innovations
 from puma_sim_core.identify.noise.weighting import Weighting
-from puma_sim_core.identify.result import Shape
+from puma_sim_core.identify.result import GAP, HYSTERESIS, Shape
 from puma_sim_core.identify.screening.causal import CausalScreen, Columns, Pairs
 from puma_sim_core.identify.screening.evidence import Scored
 from puma_sim_core.identify.screening.surrogates import level
@@ -26,7 +26,7 @@ from puma_sim_core.identify.settings import RESIDUALS
 from puma_sim_core.jit import compiled
 
 #: directions in which an axis acts
-_SIGNED, _HYSTERESIS = "with the sign of the velocity", "with hysteresis"
+_SIGNED = "with the sign of the velocity"
 _FINE = "in fine steps"
 _STEP = "in one step"
 _WITH_TORQUE = "in proportion to the torque"
@@ -107,9 +107,7 @@ def axes(signals: Signals, joint: int, position_unit: str = "rad") -> list[Axis]
         if name in ("position", "voltage"):
             widths = (high - low) * np.array(RESIDUALS.play_widths)
             # Prandtl and Ishlinskii: a bank of play operators has the shape of any rate-independent hysteresis
-            found.append(
-                Axis(name, unit, values, widths, partial(_plays, values, signals.segment, widths), _HYSTERESIS)
-            )
+            found.append(Axis(name, unit, values, widths, partial(_plays, values, signals.segment, widths), HYSTERESIS))
     time = signals.time
     first, last = time.min(), time.max()
     count = np.clip((last - first) / RESIDUALS.time_knot, RESIDUALS.least_time_knots, RESIDUALS.most_time_knots)
@@ -152,8 +150,14 @@ def _signed(values: Floats, knots: Floats, direction: Floats) -> Floats:
 
 
 def _plays(values: Floats, segment: Ints, widths: Floats) -> Floats:
-    """(n, k) `play` of several widths."""
-    return np.column_stack([play(np.ascontiguousarray(values), segment, 0.5 * float(width)) for width in widths])
+    """(n, k) `play` of several widths, over half of the greatest: the widest is -1 or 1 once its width is used up."""
+    return np.column_stack([_play_of_width(values, segment, w) for w in widths.tolist()]) * (widths / widths[-1])
+
+
+def _play_of_width(values: Floats, segment: Ints, width: float) -> Floats:
+    """(n, 1) `play` of a width over half of it: -1 or 1 once the width is used up."""
+    half = 0.5 * width
+    return play(np.ascontiguousarray(values), segment, half)[:, None] / half
 
 
 @dataclass(frozen=True)
@@ -204,10 +208,10 @@ def curves(causal: CausalScreen, position_unit: str = "rad", joints: Collection[
     for j in (j for j in range(signals.joints) if joints is None or j + 1 in joints):
         height = RESIDUALS.height * float(signals.volts_per_torque[j] * signals.torque_scale[j])
         for axis in axes(signals, j, position_unit):
-            scale = height / float(axis.knots[-1]) if axis.way == _HYSTERESIS else 1.0
-            columns = _Columns(j, len(axis.knots), partial(_scaled, axis.make, scale))
-            candidate = _candidate(columns, height, {"height": height})
+            candidate = _candidate(_Columns(j, len(axis.knots), axis.make), height, {"height": height})
             add(axis.name, j + 1, [(candidate, causal.columns(candidate))], axis, axis.way)
+            if axis.way == HYSTERESIS:
+                add(axis.name, j + 1, *_gap(causal, j, height, axis), GAP)
         add("line", j + 1, _time_lines(causal, j, height), None)
         add("time", j + 1, *_step(causal, j, height), _STEP)
         if signals.gear[j] > 1.0:
@@ -217,10 +221,6 @@ def curves(causal: CausalScreen, position_unit: str = "rad", joints: Collection[
             # of currents that do not commutate evenly
             add("motor_angle", j + 1, _angle_lines(causal, j, height, torque / size), None, _WITH_TORQUE)
     return sorted(found, key=lambda curve: -curve.scored.gain)
-
-
-def _scaled(make: Callable[[], Floats], scale: float) -> Floats:
-    return make() * scale
 
 
 def again(causal: CausalScreen, curve: Curve) -> Curve:
@@ -303,27 +303,66 @@ def _candidate(columns: Sequence[ByJoint], height: float, grid: dict[str, float]
 
 
 def _step(causal: CausalScreen, j: int, height: float) -> tuple[Pairs, Axis]:
-    """(candidate, its columns) of one step in time at each of several places, and their axis."""
+    """(candidate, its columns) of one step in time at each of several places, and the axis of the best."""
     time = causal.signals.time
     first, last = float(time.min()), float(time.max())
-
-    def at(places: Floats) -> list[tuple[Candidate, Columns]]:
-        grids = [{"height": height, "time": float(place)} for place in places]
-        steps = [_candidate(_Columns(j, 1, partial(_after, time, grid["time"])), height, grid) for grid in grids]
-        return [(candidate, causal.columns(candidate)) for candidate in steps]
-
-    def best(pairs: Pairs) -> Candidate:
-        scored = causal.score_columns("time", j + 1, pairs)
-        assert scored is not None
-        return scored.estimate.entry.candidate
-
     apart = min(RESIDUALS.step_distance, (last - first) / RESIDUALS.least_steps)
-    coarse = at(np.arange(first + apart, last - 0.5 * apart, apart))
-    about = best(coarse).grid["time"]
-    pairs = coarse + at(np.linspace(about - apart, about + apart, RESIDUALS.steps_about + 1)[1:-1])
-    candidate = best(pairs)
-    place = candidate.grid["time"]
+    coarse = np.arange(first + apart, last - 0.5 * apart, apart)
+    pairs, place = _placed(causal, "time", j, height, partial(_after, time), (coarse, _evenly(apart)))
     return pairs, Axis("time", "s", time, np.array([first, place, place, last]), partial(_after, time, place), _STEP)
+
+
+def _gap(causal: CausalScreen, j: int, height: float, bank: Axis) -> tuple[Pairs, Axis]:
+    """(candidate, its columns) of one play operator of each of several widths over the quantity of a bank of them, and
+    the axis of the best: the width of a single gap lies between those of the bank."""
+    signals, values = causal.signals, bank.coordinate
+    low, high = np.quantile(values, RESIDUALS.quantiles)
+    widths = (high - low) * np.geomspace(*RESIDUALS.gap_widths)
+    make = partial(_play_of_width, values, signals.segment)
+    about = _evenly(float(widths[1] - widths[0]) / float(widths[0]), in_ratio=True)
+    pairs, width = _placed(causal, bank.name, j, height, make, (widths, about))
+    return pairs, replace(bank, knots=np.array([width]), make=partial(make, width), way=GAP)
+
+
+def _evenly(apart: float, in_ratio: bool = False) -> Callable[[float], Floats]:
+    """Places about a place, less than a distance away, or than a share of it."""
+
+    def about(place: float) -> Floats:
+        distance = apart * place if in_ratio else apart
+        return np.linspace(place - distance, place + distance, RESIDUALS.places_about + 1)[1:-1]
+
+    return about
+
+
+def _placed(
+    causal: CausalScreen,
+    name: str,
+    j: int,
+    height: float,
+    make: Callable[[float], Floats],
+    places: tuple[Floats, Callable[[float], Floats]],
+) -> tuple[Pairs, float]:
+    """(candidate, its columns) of what has one column (n, 1), at several places and at those about the best; the best.
+
+    make : the column at a place; places : the coarse ones, and those about one of them.
+    """
+
+    def at(some: Floats) -> list[tuple[Candidate, Columns]]:
+        found = [
+            _candidate(_Columns(j, 1, partial(make, place)), height, {"height": height, "place": place})
+            for place in map(float, some)
+        ]
+        return [(candidate, causal.columns(candidate)) for candidate in found]
+
+    def best(pairs: Pairs) -> float:
+        scored = causal.score_columns(name, j + 1, pairs)
+        assert scored is not None
+        return scored.estimate.entry.candidate.grid["place"]
+
+    coarse, about = places
+    pairs = at(coarse)
+    pairs += at(about(best(pairs)))
+    return pairs, best(pairs)
 
 
 def _after(time: Floats, place: float) -> Floats:
@@ -395,11 +434,11 @@ def describe(best: Curve, ranking: tuple[tuple[str, float], ...]) -> Shape:
         name, unit, way, centre, curve, band = axis.name, axis.unit, axis.way, axis.knots, heights, spread
         if way == _STEP:
             curve, band = (np.array([0.0, 0.0, x[0], x[0]]) for x in (heights, spread))
-        elif way == _HYSTERESIS:
+        elif way in (HYSTERESIS, GAP):
             # the branch after a reversal: each play operator moves until its width is used up
             centre = np.concatenate([[0.0], axis.knots])
             shares = np.minimum(centre[:, None], axis.knots) - 0.5 * axis.knots
-            columns = grid["height"] / axis.knots[-1] * shares
+            columns = 2.0 / axis.knots[-1] * shares
             curve = columns @ heights
             band = RESIDUALS.normal_quantile * np.sqrt(np.einsum("ij,jk,ik->i", columns, covariance, columns))
     return Shape(name, unit, best.joint, centre, curve, curve - band, curve + band, frequency, ranking, way)

@@ -21,11 +21,13 @@ class Residuals:
     sign_noise: float = 2.0  #: speed of a change of sign, in standard deviations of the velocity's noise
     #: widths of the play operators of a hysteresis, over the range
     play_widths: tuple[float, ...] = (0.004, 0.01, 0.025, 0.06, 0.15)
+    #: widths of one gap, over the range: least, as of the bank, greatest, which half of the range takes up, and number
+    gap_widths: tuple[float, float, int] = (0.004, 0.5, 16)
     past: float = 0.025  #: past over which an acceleration is averaged [s]
     height: float = 0.5  #: standard deviation of the prior of a knot's height, in volts of the nominal friction scale
     step_distance: float = 0.25  #: distance of the places of a step in time [s]
     least_steps: int = 40  #: least number of them
-    steps_about: int = 20  #: places about the best
+    places_about: int = 20  #: places about the best of a step, or of a width
     line_density: float = 2.0  #: spectral lines per 1/(length of record)
     least_periods: float = 4.0  #: of the lowest over the record
     top_line: float = 0.95  #: highest, in terms of the second cutoff
