@@ -150,8 +150,8 @@ def _signed(values: Floats, knots: Floats, direction: Floats) -> Floats:
 
 
 def _plays(values: Floats, segment: Ints, widths: Floats) -> Floats:
-    """(n, k) `play` of several widths, over half of the greatest: the widest is -1 or 1 once its width is used up."""
-    return np.column_stack([_play_of_width(values, segment, w) for w in widths.tolist()]) * (widths / widths[-1])
+    """(n, k) `play` of several widths, each -1 or 1 once its width is used up."""
+    return np.hstack([_play_of_width(values, segment, width) for width in widths.tolist()])
 
 
 def _play_of_width(values: Floats, segment: Ints, width: float) -> Floats:
@@ -438,7 +438,7 @@ def describe(best: Curve, ranking: tuple[tuple[str, float], ...]) -> Shape:
             # the branch after a reversal: each play operator moves until its width is used up
             centre = np.concatenate([[0.0], axis.knots])
             shares = np.minimum(centre[:, None], axis.knots) - 0.5 * axis.knots
-            columns = 2.0 / axis.knots[-1] * shares
+            columns = 2.0 / axis.knots * shares
             curve = columns @ heights
             band = RESIDUALS.normal_quantile * np.sqrt(np.einsum("ij,jk,ik->i", columns, covariance, columns))
     return Shape(name, unit, best.joint, centre, curve, curve - band, curve + band, frequency, ranking, way)
