@@ -308,8 +308,9 @@ def _step(causal: CausalScreen, j: int, height: float) -> tuple[Pairs, Axis]:
     first, last = float(time.min()), float(time.max())
     apart = min(RESIDUALS.step_distance, (last - first) / RESIDUALS.least_steps)
     coarse = np.arange(first + apart, last - 0.5 * apart, apart)
-    pairs, place = _placed(causal, "time", j, height, partial(_after, time), (coarse, _evenly(apart)))
-    return pairs, Axis("time", "s", time, np.array([first, place, place, last]), partial(_after, time, place), _STEP)
+    make = partial(_after, time)
+    pairs, place = _placed(causal, "time", j, height, make, (coarse, partial(_about, distance=apart)))
+    return pairs, Axis("time", "s", time, np.array([first, place, place, last]), partial(make, place), _STEP)
 
 
 def _gap(causal: CausalScreen, j: int, height: float, bank: Axis) -> tuple[Pairs, Axis]:
@@ -319,19 +320,14 @@ def _gap(causal: CausalScreen, j: int, height: float, bank: Axis) -> tuple[Pairs
     low, high = np.quantile(values, RESIDUALS.quantiles)
     widths = (high - low) * np.geomspace(*RESIDUALS.gap_widths)
     make = partial(_play_of_width, values, signals.segment)
-    about = _evenly(float(widths[1] - widths[0]) / float(widths[0]), in_ratio=True)
-    pairs, width = _placed(causal, bank.name, j, height, make, (widths, about))
+    apart = float(widths[1] - widths[0]) / float(widths[0])
+    pairs, width = _placed(causal, bank.name, j, height, make, (widths, lambda width: _about(width, apart * width)))
     return pairs, replace(bank, knots=np.array([width]), make=partial(make, width), way=GAP)
 
 
-def _evenly(apart: float, in_ratio: bool = False) -> Callable[[float], Floats]:
-    """Places about a place, less than a distance away, or than a share of it."""
-
-    def about(place: float) -> Floats:
-        distance = apart * place if in_ratio else apart
-        return np.linspace(place - distance, place + distance, RESIDUALS.places_about + 1)[1:-1]
-
-    return about
+def _about(place: float, distance: float) -> Floats:
+    """Places about a place, less than a distance away."""
+    return np.linspace(place - distance, place + distance, RESIDUALS.places_about + 1)[1:-1]
 
 
 def _placed(
