@@ -318,9 +318,9 @@ class Counting:
 
 @contextmanager
 def met(number: int, **service):
-    """Topics that have met `Counting`, and a trial over them: what it answers to two states."""
+    """Topics that have met `Counting`, itself, and a trial over them: what it answers to two states."""
     namespace, reference = f"/appraise{os.getpid()}_{number}", np.zeros((1, 3))
-    with Counting(namespace, **service), Peer(namespace, interface=None, name="appraisal") as own:
+    with Counting(namespace, **service) as counting, Peer(namespace, interface=None, name="appraisal") as own:
         own.executor.remove_node(own.node)
         topics = Topics(own.node, ["joint1", "joint2", "joint3"], Patience(answer=PATIENCE, start=PATIENCE))
         topics.listen("voltage")
@@ -330,20 +330,20 @@ def met(number: int, **service):
             topics.begin(reference)
             return [topics.ask(0.0, reference[0], reference[0])[0] for _ in range(2)]
 
-        yield topics, trial
+        yield topics, counting, trial
 
 
 def test_a_service_that_is_seen_late_resets_all_the_same():
-    with met(5) as (topics, trial):
+    with met(5) as (topics, _, trial):
         assert [trial(), trial()] == [[1.0, 2.0], [1.0, 2.0]]
         assert topics.objection() == ""
 
 
 def test_a_trial_before_which_a_service_was_not_seen_does_not_count(monkeypatch):
     monkeypatch.setattr("puma_sim_ros.appraisal.topics._RESET", 0.2)
-    with met(6, after=2.0) as (topics, trial):
-        without, deadline = trial(), time.monotonic() + PATIENCE
-        assert without != [1.0, 2.0]
+    with met(6, after=float("inf")) as (topics, counting, trial):
+        assert trial() != [1.0, 2.0]
+        counting.made_at, deadline = 0.0, time.monotonic() + PATIENCE
         while not (why := topics.objection()):
             assert time.monotonic() < deadline
             time.sleep(0.02)
