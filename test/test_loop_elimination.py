@@ -97,3 +97,26 @@ def test_an_effect_that_ended_where_no_machine_has_it_is_withdrawn():
     for stage in (*left.history, left.chosen[0].stage):
         assert stage.refuting.key == ("joint_spring", 1) and "far outside the range" in stage.refuting.problem
         assert {t.key for t in stage.trials if t.possible} == {("coulomb_friction", 1)}
+
+
+@pytest.mark.parametrize("true, left", [(0.05, ("coulomb_friction", 1)), (1e-4, None)])
+def test_what_a_withdrawn_effect_contains_takes_its_place_if_the_log_asks_for_it(true, left):
+    """Seen on a servo with friction by load: friction over the position took a part of that up, and was withdrawn for
+    its size. All friction of its joint went with it."""
+    base, trials, state = lacking(parse_effect(f"coulomb_friction:joint=1,torque={true}"))
+    level = parse_effect("coulomb_friction:joint=1,torque=0.05")
+    varying = parse_effect("position_dependent_friction:joint=1,torque=0.05,amplitude=9,angle=1.5")
+    tried = []
+    for effect in (level, varying):
+        fitted = base.fit.run(base.with_effect(level), (), rounds=2)
+        tried.append(Trial(Scored(effect.kind.name, 1, 100.0, values=dict(effect.values)), 100.0, 9.0, fitted, 5.0))
+    tried[1] = replace(tried[1], fitted=replace(tried[1].model, point=Point(base.model.point.theta, (varying,))))
+    history = (Stage(tuple(tried), Threshold.alike(16.0), base.model, tried[1]),)
+    chosen = (Chosen.of(tried[1], history),)
+    found = Elimination(trials, KINDS).withdraw(replace(state, model=tried[1].model, history=history, chosen=chosen))
+    assert found.keys == (() if left is None else (left,))
+    assert tuple((e.kind.name, e.joint) for e in found.model.point.effects) == found.keys
+    assert found.history[0].refuting.key == ("position_dependent_friction", 1)
+    if left is not None:
+        assert found.model.point.effects[0].values["torque"] == pytest.approx(true, rel=0.2)
+        assert found.chosen[0].gain > 16.0

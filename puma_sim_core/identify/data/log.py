@@ -84,18 +84,27 @@ def channels(group: str, joints: int) -> list[str]:
     return [f"{group}{j}" for j in range(1, joints + 1)]
 
 
+def changes(position: Floats) -> Floats:
+    """(k,) magnitudes of the changes from row to row of an (n,) series of positions, without those of rounding."""
+    steps = np.abs(np.diff(position))
+    return steps[steps > 1e-9 * max(float(np.max(np.abs(position), initial=0.0)), 1e-12)]
+
+
+def step_of_few(steps: Floats, rows: int) -> float:
+    """Step of the encoder of a joint that all but rests, by its few changes (k,): the least of them, since a reading
+    without steps repeats in no row; 0.0 without any."""
+    return float(steps.min()) if 0 < steps.size < DATA.encoder_repeated * rows else 0.0
+
+
 def encoder_step(position: Floats) -> float:
     """Step of the encoder that an (n,) series of positions shows, 0.0 where it shows none.
 
     Differences of quantised positions are whole multiples of the step; text with few digits blurs them a little.
     """
     finite = position[np.isfinite(position)]
-    steps = np.abs(np.diff(finite))
+    steps = np.sort(changes(finite))
     if steps.size < DATA.encoder_changes:
-        return 0.0
-    steps = np.sort(steps[steps > 1e-9 * max(float(np.max(np.abs(finite))), 1e-12)])
-    if steps.size < DATA.encoder_changes:
-        return 0.0
+        return step_of_few(steps, finite.size)
     step = float(steps[: max(1, steps.size // 50)].mean())
     for reach in DATA.encoder_reaches:
         near = steps[steps < reach * step]

@@ -17,7 +17,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from puma_sim_core.errors import RecordingError
 from puma_sim_core.identify.arrays import Bools, Floats, Ints, rows_of_segments, runs
 from puma_sim_core.identify.data import filters
-from puma_sim_core.identify.data.log import Log
+from puma_sim_core.identify.data.log import Log, changes, step_of_few
 from puma_sim_core.identify.settings import DATA, SCREENING
 
 
@@ -202,10 +202,9 @@ def _step_mean(time: Floats, values: Floats, at: Floats, step: float) -> Floats:
 
 def _quantum(position: Floats) -> float:
     """Step of an encoder: the smallest change, where all changes are whole multiples of it."""
-    change = np.abs(np.diff(position))
-    change = change[change > 1e-9 * (float(np.abs(position).max()) or 1.0)]
+    change = changes(position)
     if len(change) < DATA.encoder_changes:
-        return 0.0
+        return step_of_few(change, len(position))
     least = float(np.quantile(change, 0.001))
     step = float(change[change < 1.5 * least].mean())
     count = change[change < 50.0 * step] / step

@@ -95,7 +95,8 @@ class Predictor:
         self.responses: list[Floats] = []
         self.spread: list[float] = []
         self.linear: list[tuple[Floats, Floats, Floats]] = []
-        noise = np.maximum(noise, FITTING.least_position_noise)
+        #: noise of a position [rad or m]
+        self.noise = noise = np.maximum(noise, FITTING.least_position_noise)
         models = self._joint_models()
         scale = mechanism.drive(mechanism.start).volts_per_torque * np.asarray(mechanism.torque_scale, dtype=float)
         if volts is None:
@@ -330,22 +331,38 @@ class Predictor:
         return np.concatenate([s.validation for s in self.stretches])
 
     @property
+    def moving_rows(self) -> Bools:
+        """(N, J) rows to fit in which a joint moves."""
+        return self.fit_rows & np.concatenate([s.changing for s in self.stretches])
+
+    @property
     def noisy_rows(self) -> Bools:
         """(N, J) rows to fit that show the noise of a joint: those in which it moves, or all where these are few."""
-        fit = self.fit_rows
-        moving = fit & np.concatenate([s.changing for s in self.stretches])
-        return np.where(moving.sum(axis=0) >= FITTING.least_noisy_rows, moving, fit)
+        moving = self.moving_rows
+        return np.where(_many(moving), moving, self.fit_rows)
+
+    @property
+    def unshown(self) -> Floats:
+        """(J,) noise [rad or m] of the positions of joints that rest: their readings repeat, and show none; 0.0 for the
+        others."""
+        return np.where(_many(self.moving_rows), 0.0, self.noise)
 
     def unfiltered_weighting(self, errors: Floats) -> Weighting:
         """No filter, and the scale of changes from row to row: what lasts, as a missing effect, is no noise."""
-        rows, scale = self.noisy_rows, np.ones(errors.shape[1])
+        rows, unshown, scale = self.noisy_rows, self.unshown, np.ones(errors.shape[1])
         for j, response in enumerate(self.responses):
             change = np.diff(errors[:, j])[rows[1:, j] & rows[:-1, j]]
             if len(change):
                 scale[j] = FITTING.deviation_of_median * np.median(np.abs(change)) / np.sqrt(2.0)
             spread = FITTING.least_median_share * float(np.std(change)) / np.sqrt(2.0)
-            scale[j] = max(scale[j], spread, self.least[j] * float(np.linalg.norm(response)), 1e-15)
+            least = self.least[j] * float(np.linalg.norm(response))
+            scale[j] = max(scale[j], spread, least, unshown[j], 1e-15)
         return Weighting(np.ones((len(scale), 1)), scale, self.lengths, self.settling)
+
+
+def _many(moving: Bools) -> Bools:
+    """(J,) whether enough rows (N, J) show the noise of a joint."""
+    return np.asarray(moving.sum(axis=0) >= FITTING.least_noisy_rows)
 
 
 def _started(plant: Plant, stretch: Stretch, step: float) -> Simulator:

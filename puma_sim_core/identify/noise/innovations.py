@@ -48,8 +48,9 @@ def noise(predictor: Predictor, errors: Floats, j: int, before: Weighting | None
         passed = np.abs(folded_response(before.filters[j], size) / before.scale[j]) ** 2
     f, power = _periodogram(predictor, errors, j)
     weights = _weights(frequency, spectra * passed, f, power)
-    least = 2.0 * step * predictor.least[j] ** 2 * np.abs(folded_response(predictor.responses[j], size)) ** 2
-    spectrum = weights @ spectra + least
+    # of rounding, and of a sensor whose joint rests
+    volts = predictor.least[j] ** 2 * np.abs(folded_response(predictor.responses[j], size)) ** 2
+    spectrum = weights @ spectra + 2.0 * step * (volts + predictor.unshown[j] ** 2)
     likelihood = 0.0
     if len(f):
         model = np.interp(f, frequency, spectrum * passed)

@@ -45,8 +45,8 @@ class ShortList:
         for scored in slow[: SCREENING.short_list_slow // share] + fast[: SCREENING.short_list_fast // share]:
             short.setdefault(scored.key, placed.get(scored.key, scored))
         found = [*short.values(), *self._related([*short.values()], keys, causal)]
-        found += self._common(found, keys, causal)
         stretched = point.stretched(self.predictor.mechanism)
+        found += self._common(found, keys, causal, stretched)
         return [*found, *self._without_power({s.key for s in found} | set(keys), keys, stretched)]
 
     def _slow(self, keys: Collection[Key], point: Point) -> list[Scored]:
@@ -92,14 +92,18 @@ class ShortList:
         found = dict.fromkeys((name, joint) for own, joint in best for name in self._containing(own))
         return [(self.library[name], joint) for name, joint in found if (name, joint) not in taken]
 
-    def _common(self, found: list[Scored], keys: Collection[Key], causal: CausalScreen) -> list[Scored]:
+    def _common(
+        self, found: list[Scored], keys: Collection[Key], causal: CausalScreen, stretched: bool
+    ) -> list[Scored]:
         """Dry friction of joints where anything is missing and none is in the model.
 
         Parameters, a delay or an elasticity may have taken it up, so that the screening about them sees nothing of it;
-        and a joint that it holds hardly moves, so that there is no velocity to screen by.
+        and a joint that it holds hardly moves, so that there is no velocity to screen by. stretched : whether some are
+        farther than their priors allow, for then it may be missing on any joint.
         """
         rubs = {joint for name, joint in keys if self.library[name].dry}
-        missing, every = {s.joint for s in found}, range(1, self.predictor.mechanism.joints + 1)
+        every = range(1, self.predictor.mechanism.joints + 1)
+        missing = {s.joint for s in found} | set(every if stretched else ())
         joints = [j for j in every if j not in rubs and (j in missing or None in missing)]
         taken, more = {s.key for s in found} | set(keys), list[Scored]()
         for kind in self.library.values():

@@ -170,7 +170,8 @@ class CrossValidation:
             all_of_it = left + information[fold.predictor.validation_rows].sum(axis=0)
             free = left >= SELECTION.least_information * all_of_it
             columns = np.r_[np.ones(p, dtype=bool), free]
-            found = PredictionFit(fold.predictor, model.weighting).run(
+            fit = PredictionFit(fold.predictor, model.weighting)
+            found = fit.run(
                 point,
                 (),
                 jacobian=Slopes.of(jacobian[fold.predictor.fit_rows][:, columns]),
@@ -181,7 +182,12 @@ class CrossValidation:
                 return point
             if free.all():
                 return found.point
-            return _completed(whole, model.fitted, jacobian[whole.rows], columns, found.point)
+            completed = _completed(whole, model.fitted, jacobian[whole.rows], columns, found.point)
+            # what the fold's own rows say next to nothing of must not spoil them: such a step is too long to be linear
+            errors, before = fit.errors(completed), fit.errors(point)
+            if errors is None or before is None or fit.objective(errors, completed) > fit.objective(before, point):
+                return found.point
+            return completed
 
         found = self._fitted[model.key] = parallel_map(without, self.folds)
         return found

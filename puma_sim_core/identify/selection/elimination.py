@@ -62,17 +62,32 @@ class Elimination:
         ended. What the log asks for and no machine has refutes that nothing is missing. A pass."""
         for number, effect in enumerate(state.model.point.effects):
             problem = self.trials.implausible(effect)
-            if problem is None:
-                continue
-            fit, rest = PredictionFit(self.predictor, state.noise), _less(state.model.point.effects, number)
-            at = Point(state.model.point.theta, rest)
-            model, _ = fit.to_end(at, self.trials.free(at))
-            gone = replace(state.chosen[number].trial, problem=problem)
-            history = tuple(stage.less(gone) for stage in state.history)
-            # nor may it be tied with one that stays
-            chosen = tuple(replace(c, stage=c.stage.less(gone)) for c in _less(state.chosen, number))
-            return self.withdraw(replace(state, model=model, jacobian=None, chosen=chosen, history=history))
+            if problem is not None:
+                gone = replace(state.chosen[number].trial, problem=problem)
+                history = tuple(stage.less(gone) for stage in state.history)
+                # nor may it be tied with one that stays
+                chosen = tuple(replace(c, stage=c.stage.less(gone)) for c in state.chosen)
+                return self.withdraw(self._withdrawn(replace(state, history=history, chosen=chosen), number))
         return state
+
+    def _withdrawn(self, state: SelectionState, number: int) -> SelectionState:
+        """The state with the best of the effects that one contains in its place, if the log asks for that; else without
+        it."""
+        fit, chosen, point = PredictionFit(self.predictor, state.noise), state.chosen[number], state.model.point
+        at = Point(point.theta, _less(point.effects, number))
+        model, _ = fit.to_end(at, self.trials.free(at))
+        found = [
+            self._ended(state, point, number, trial, effect)
+            for trial, effect in self._simpler(state, number, point.effects[number])
+        ]
+        for fitted, trial in sorted(found, key=_cost):
+            gain = model.objective - fitted.objective - trial.occam
+            own = Chosen.of(trial, state.history, chosen.stage, gain)
+            simple = replace(state, model=fitted, jacobian=None, chosen=_placed(state.chosen, number, own))
+            compared = self._compared(simple, number)
+            if compared is not None and self._asked_for(simple, own, compared):
+                return simple
+        return replace(state, model=model, jacobian=None, chosen=_less(state.chosen, number))
 
     def confirm(self, state: SelectionState) -> SelectionState:
         """Remove effects that were accepted beside a noise that was refused and that the present noise does not ask
@@ -168,23 +183,17 @@ class Elimination:
         contained = self._contained(state, number)
         if not contained:
             return state
-        fit, chosen, start = PredictionFit(self.predictor, state.noise), state.chosen[number], state.model.point
-
-        def exact(about: Point, trial: Trial, effect: Effect) -> tuple[Fitted, Trial]:
-            at = Point(about.theta, (*about.effects[:number], effect, *about.effects[number + 1 :]))
-            return fit.to_end(at, self.trials.free(at))[0], trial
-
-        stage = chosen.stage
+        chosen, start, stage = state.chosen[number], state.model.point, state.chosen[number].stage
         own = chosen.tried
-        first = best = exact(start, own, start.effects[number])
+        first = best = self._ended(state, start, number, own, start.effects[number])
         full = first[0].point
-        # from what was tried, and with what the two have in common as it is now
-        starts = ((t, effect) for t in contained for effect in (t.effect, _alike(t.effect, full.effects[number])))
-        simpler = min((exact(full, *start) for start in starts), key=lambda pair: pair[0].objective)
+        starts = self._simpler(state, number, full.effects[number])
+        simpler = min((self._ended(state, full, number, *pair) for pair in starts), key=lambda pair: pair[0].objective)
         promised = own.gain + own.occam - simpler[1].gain - simpler[1].occam
         if abs(simpler[0].objective - first[0].objective - promised) > SELECTION.unfinished:
             alike = (t for t in _open(stage, state) if t.joint == simpler[1].joint)
-            others = [exact(full, t, t.effect) for t in alike if self._contains(t, simpler[1].name)]
+            richer = (t for t in alike if self._contains(t, simpler[1].name))
+            others = [self._ended(state, full, number, t, t.effect) for t in richer]
             possible = (pair for pair in others if not self.trials.implausible(pair[0].point.effects[number]))
             rival = min(possible, key=_cost, default=first)
             # as of any rival: a coin would not turn out the same in another log
@@ -196,8 +205,21 @@ class Elimination:
             return state
         gain = chosen.gain + first[0].objective - fitted.objective + own.occam - trial.occam
         new = Chosen.of(trial, state.history, stage, gain)
-        chosen_now = (*state.chosen[:number], new, *state.chosen[number + 1 :])
-        return replace(state, model=fitted, jacobian=None, chosen=chosen_now)
+        return replace(state, model=fitted, jacobian=None, chosen=_placed(state.chosen, number, new))
+
+    def _ended(
+        self, state: SelectionState, about: Point, number: int, trial: Trial, effect: Effect
+    ) -> tuple[Fitted, Trial]:
+        """A trial, and the model about a point with the effect in the place of one of its own, fitted to its end."""
+        at = Point(about.theta, _placed(about.effects, number, effect))
+        return PredictionFit(self.predictor, state.noise).to_end(at, self.trials.free(at))[0], trial
+
+    def _simpler(self, state: SelectionState, number: int, effect: Effect) -> Iterator[tuple[Trial, Effect]]:
+        """Trials of what an effect of the model contains, with where to begin: what was tried, and what the two have in
+        common as it is now."""
+        for trial in self._contained(state, number):
+            yield trial, trial.effect
+            yield trial, _alike(trial.effect, effect)
 
     def _contained(self, state: SelectionState, number: int) -> list[Trial]:
         """Trials, beside the one of an effect, of the effects that it contains."""
@@ -253,6 +275,11 @@ def _less(items: tuple[Item, ...], number: int) -> tuple[Item, ...]:
     return (*items[:number], *items[number + 1 :])
 
 
+def _placed(items: tuple[Item, ...], number: int, item: Item) -> tuple[Item, ...]:
+    """All items, one of them replaced."""
+    return (*items[:number], item, *items[number + 1 :])
+
+
 def _taken_up(gone: Effect, effects: tuple[Effect, ...]) -> Iterator[tuple[Effect, ...]]:
     """The effects, where one contains another of its joint: that one's size is added to one of its own, or to all."""
     for number, effect in enumerate(effects):
@@ -263,7 +290,7 @@ def _taken_up(gone: Effect, effects: tuple[Effect, ...]) -> Iterator[tuple[Effec
             for names in [*([name] for name in alike), alike]:
                 more = {name: effect.values[name] + gone.values[size.name] for name in names}
                 whole = bounded(effect.kind, effect.joint, {**effect.values, **more})
-                yield (*effects[:number], whole, *effects[number + 1 :])
+                yield _placed(effects, number, whole)
 
 
 def _sizes(effect: Effect) -> list[Parameter]:

@@ -14,6 +14,8 @@ class Data:
     reading_greatest_rows: int = 60_000  #: rows of a log that are read: a minute at 1 kHz takes 3.7 GB (an arm)
 
     encoder_changes: int = 20  #: least changes of a position in which an encoder's step is found
+    #: fewer show it where they are in at most this share of the rows: a reading without steps changes in every row
+    encoder_repeated: float = 0.5
     encoder_reaches: tuple[float, ...] = (1.5, 4.0, 15.0)  #: steps that changes are taken up to
     #: time to either side of a row [s] in which a reading that stays within a step of its encoder shows no noise:
     #: longer than a reversal lasts, and than the longest correlation time of the noise (0.16 s) within both

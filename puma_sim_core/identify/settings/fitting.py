@@ -96,7 +96,9 @@ class Fitting:
     typical_other: float = 0.1
     least_share_of_typical: float = 0.3
     greatest_step: float = 1.5  #: greatest step of a parameter of an effect, in its sizes
-    step_shares: tuple[float, ...] = (1.0, 0.5, 0.25, 0.1)  #: shares of a step that are tried one after the other
+    step_shares: tuple[float, ...] = (0.5, 0.25, 0.1)  #: shares of a step that are tried where a whole one is too long
+    #: shares of the curvature that damp a step, with dry friction: powers of ten (Marquardt 1963, J. SIAM 11:431)
+    dampings: tuple[float, ...] = (0.1, 1.0, 10.0, 100.0)
     rounds: int = 4  #: rounds of a fit
     least_round_gain: float = 0.1  #: gain [nat] below which a round is the last
     rounds_from_start: int = 6  #: rounds of a fit from the start values
