@@ -48,8 +48,8 @@ def test_dry_friction_is_tried_where_anything_is_missing_and_none_is_in_the_mode
     search = SimpleNamespace(library=library)
     short = ShortList(search, SimpleNamespace(mechanism=mechanism), None)
 
-    def tried(found, keys=()):
-        return {s.key for s in short._common([Scored(*key, 5.0) for key in found], keys, Screen())}
+    def tried(found, keys=(), stretched=False):
+        return {s.key for s in short._common([Scored(*key, 5.0) for key in found], keys, Screen(), stretched)}
 
     both = ("coulomb_friction", "load_dependent_friction")
     assert tried([("joint_elasticity", 2)]) == {(name, 2) for name in both}
@@ -60,7 +60,11 @@ def test_dry_friction_is_tried_where_anything_is_missing_and_none_is_in_the_mode
     assert tried([]) == set()
     assert tried([("joint_elasticity", 2), ("coulomb_friction", 2)]) == {("load_dependent_friction", 2)}
     assert tried([("joint_elasticity", 2)], [("stribeck_friction", 2)]) == set()
-    start = short._common([Scored("joint_elasticity", 2, 5.0)], (), Screen())[0]
+    # parameters that something missing has stretched hide it on any joint
+    everywhere = {(name, joint) for name in both for joint in (1, 2, 3)}
+    assert tried([("joint_elasticity", 2)], stretched=True) == everywhere
+    assert tried([], [("stribeck_friction", 2)], stretched=True) == {key for key in everywhere if key[1] != 2}
+    start = short._common([Scored("joint_elasticity", 2, 5.0)], (), Screen(), False)[0]
     assert start.values == {"torque": mechanism.torque_scale[1]}
 
 
