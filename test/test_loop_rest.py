@@ -14,6 +14,7 @@ from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
 from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.noise import innovations
 from puma_sim_core.plant.mechanism_file import load_mechanism
+from puma_sim_core.simulation import tracking
 from puma_sim_core.simulation.simulator import Simulator
 
 QUANTUM, STEP = 1.5e-3, 5e-3
@@ -100,6 +101,42 @@ def test_a_joint_that_rests_has_the_noise_of_its_sensor(tmp_path):
         # what a sensor's white noise leaves in the rows of a joint that rests is not blown up
         shown = weighting(noise * np.random.default_rng(1).standard_normal(errors.shape))
         assert np.sqrt((shown[:, 0] ** 2).mean()) < 1.1
+
+
+@pytest.mark.parametrize("more", [(), (parse_effect("joint_elasticity:joint=1,stiffness=200,damping=0.15"),)])
+def test_errors_of_prediction_change_with_the_friction_and_do_not_jump(more, tmp_path):
+    """Along a motion that turns round slowly: four times finer steps of the level change them a quarter as much."""
+    true = PENDULUM.plant(effects=(*more, FRICTION))
+    log = read_for(PENDULUM, servo_log(tmp_path / "log.csv", lambda t: 0.1 * np.sin(0.6 * t), 20.0, plant=true))
+    predictor = Predictor([log], PENDULUM, [lambda t: t > 1e9], None, sample([log]).position_noise)
+    rows = predictor.fit_rows[:, 0]
+
+    def greatest_change(step):
+        plants = (PENDULUM.plant(effects=(*more, *frictions(level))) for level in np.arange(0.16, 0.24, step))
+        squares = [float((predictor.errors(plant)[rows, 0] ** 2).sum()) for plant in plants]
+        return np.abs(np.diff(squares)).max()
+
+    assert greatest_change(5e-4) < 0.35 * greatest_change(2e-3)
+
+
+@pytest.mark.parametrize("share", [0.5, 0.99, 1.5, 3.0, -3.0])
+def test_a_joint_that_sticks_is_moved_by_the_torque_that_its_friction_does_not_bear(share):
+    """The torque that gives it a velocity within a row, over its friction: what is left stops within v^2 / 2a."""
+    slide = load_mechanism("slide")
+    plant = slide.plant(effects=(parse_effect("coulomb_friction:joint=1,torque=4"),))
+    mass = float((slide.inertia(slide.start, np.zeros((1, 1))) + slide.drive(slide.start).motor_inertia)[0, 0])
+    stop, gain, h = 4.0 / mass, 10.0, 0.01
+    measured = share * stop * h / gain
+    rows = np.full((4, 1), measured)
+    simulator = Simulator(plant, max_step=1e-4)
+    simulator.reset([0.0])
+    # only the first row corrects, and its velocity alone
+    corrected = np.array([True, False, False])
+    found = tracking.innovations(simulator, h * np.arange(4), 0.0 * rows, rows, [[0.0, gain, 0.0]], None, corrected)
+    left = np.sign(share) * max(abs(share) - 1.0, 0.0) * stop * h
+    assert found.position[0, 0] == 0.0 and found.velocity[2, 0] == 0.0
+    # its damping stops it a little earlier
+    assert found.position[2, 0] == pytest.approx(left * abs(left) / (2.0 * stop), rel=0.05, abs=0.0)
 
 
 @pytest.mark.long

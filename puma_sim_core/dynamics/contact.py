@@ -127,6 +127,20 @@ def starting_levels(g1: float, g2: float, g3: float, x: Vec, load: Vec, p: Table
 
 
 @inlined
+def past_friction(
+    j: int, sticks: float, inertia: float, torque: float, d: float, h: float, x: Vec, load: Vec, p: Table
+) -> float:
+    """What friction leaves of a velocity d [rad/s] that a further torque, over h seconds, would give joint j: all where
+    it does not stick, else what the torque beyond its level gives. torque [N.m] : what the joint bears already."""
+    if sticks == 0.0:
+        return d
+    torque += inertia * d / h
+    direction = 1.0 if torque > 0.0 else -1.0
+    beyond = abs(torque) - sliding_level(j, direction, x[j], load[j], load[3 + j], 0.0, p)
+    return direction * max(beyond, 0.0) * h / inertia
+
+
+@inlined
 def halt(x: Vec, slip: Vec) -> Vec:
     """The state with the velocity of each joint that has passed through rest set to zero."""
     q1, q2, q3, w1, w2, w3, i1, i2, i3 = x
@@ -147,11 +161,12 @@ def with_held(model: Model, held: Vec) -> Model:
     return model
 
 
-def build_contact(system: Callable[..., Any]) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """Functions that find the contacts of joints, and how far a state is from their end.
+def build_contact(system: Callable[..., Any]) -> tuple[Callable[..., Any], Callable[..., Any], Callable[..., Any]]:
+    """Functions that find the contacts of joints, how far a state is from their end, and what passes them.
 
     system : a function like `free_system`. Returns (x, z, v, model, p, lock, push) -> lock with sticking joints, slip;
-    and (x, z, v, model, p, lock, held, slip) -> margin, negative once the contact has ended.
+    (x, z, v, model, p, lock, held, slip) -> margin, negative once the contact has ended; and
+    (x, z, v, d, h, model, p, lock, push) -> the velocities of `past_friction`.
     """
 
     @inlined
@@ -228,7 +243,25 @@ def build_contact(system: Callable[..., Any]) -> tuple[Callable[..., Any], Calla
                 least = min(least, -overload(2, k3, d3, x, load, p))
         return least
 
-    return contact, margin
+    @inlined
+    def passing(x: Vec, z: Vec, v: Vec, d: Vec, h: float, model: Model, p: Table, lock: Vec, push: Vec) -> Vec:
+        """`past_friction` of the velocities d [rad/s] of three joints."""
+        held, slip = contact(x, z, v, model, p, lock, push)
+        k1 = held[0] - lock[0]
+        k2 = held[1] - lock[1]
+        k3 = held[2] - lock[2]
+        if k1 + k2 + k3 == 0.0:
+            return d
+        found = system(x, z, v, slip, model, p)
+        t1, t2, t3, _, _, _ = borne_torques(found, held)
+        load = loads(x, model)
+        return (
+            past_friction(0, k1, found[0], t1, d[0], h, x, load, p),
+            past_friction(1, k2, found[3], t2, d[1], h, x, load, p),
+            past_friction(2, k3, found[5], t3, d[2], h, x, load, p),
+        )
+
+    return contact, margin, passing
 
 
 def build_changing_step(
@@ -293,7 +326,8 @@ def build_changing_step(
     return changing_step
 
 
-contact, margin = build_contact(free_system)
+contact, margin, _passing = build_contact(free_system)
+passing = outlined(interpreted(_passing))
 
 
 @outlined

@@ -253,7 +253,7 @@ def motor_system(x: Vec, z: Vec, v: Vec, slip: Vec, model: Model, p: Table) -> V
     return without_link(k3, 2, system, torques[2], p)
 
 
-motor_contact, motor_margin = (outlined(interpreted(found)) for found in build_contact(motor_system))
+motor_contact, motor_margin, _passing = (outlined(interpreted(found)) for found in build_contact(motor_system))
 _changing_step = build_changing_step(two_mass_step, motor_contact, motor_margin)
 
 
@@ -274,6 +274,13 @@ def train_step(x: Vec, z: Vec, v: Vec, h: float, model: Model, p: Table, lock: V
         else:
             x, z = two_mass_step(x, z, held, part, model, p, lock, NO_SLIP)
     return x, z
+
+
+@outlined
+def train_passing(x: Vec, z: Vec, v: Vec, d: Vec, h: float, model: Model, p: Table, lock: Vec, push: Vec) -> Vec:
+    """`contact.passing` of the motors of drive trains."""
+    held = (v[0], v[1], v[2], push[0], push[1], push[2])
+    return _passing(x, z, held, d, h, model, p, lock, STILL)
 
 
 @outlined

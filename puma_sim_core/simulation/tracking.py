@@ -5,6 +5,14 @@ Each row the model predicts the measured positions of the next one; what they ar
 prediction, the innovation, moves the model's state by a constant gain. With the gain of a steady
 Kalman filter the innovations of a true model are independent of one another and of all voltages
 before, also where feedback made those voltages out of the measured positions.
+
+The correction w of a velocity stands for a torque M w / h that acted over the h seconds since the
+last one and that the model does not know of. A joint that sticks under a torque T, below a level F
+of friction, gets of it what that torque gives beyond its friction (`contact.past_friction`),
+
+    sign(T + M w / h) max(|T + M w / h| - F, 0) h / M,
+
+so that innovations do not jump where a little more friction makes the joint stick.
 """
 
 from typing import Any, NamedTuple
@@ -12,8 +20,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from puma_sim_core.dynamics.laws import CURRENT_LIMIT, DELAYED, DRY, SENSED, TWO_MASS, current_bound, with_links
-from puma_sim_core.dynamics.runs import advance, is_finite, terminal_voltage, train_advance
+from puma_sim_core.dynamics.circuit import settled_state
+from puma_sim_core.dynamics.contact import passing
+from puma_sim_core.dynamics.laws import (
+    ALGEBRAIC,
+    CURRENT_LIMIT,
+    DELAYED,
+    DRY,
+    SENSED,
+    TWO_MASS,
+    current_bound,
+    with_links,
+)
+from puma_sim_core.dynamics.runs import advance, is_finite, model_at, terminal_voltage, train_advance
+from puma_sim_core.dynamics.two_mass import train_passing
 from puma_sim_core.dynamics.types import Drive, Model, Rows, State
 from puma_sim_core.errors import NonFiniteStateError, ParameterError
 from puma_sim_core.jit import compiled, inlined, merged
@@ -62,14 +82,16 @@ def switched(drive: Drive, a: float, b: float, c: float) -> Drive:
 
 
 @merged
-def tracked_rows(advance: Any, state: Any, rows: Rows, track: Track, constants: Any, lock: Any, out: Any) -> int:
-    """Innovations of each row, with a function like `runs.advance`.
+def tracked_rows(
+    advance: Any, passing: Any, state: Any, rows: Rows, track: Track, constants: Any, lock: Any, out: Any
+) -> int:
+    """Innovations of each row, with functions like `runs.advance` and `contact.passing`.
 
     out : its measured positions are replaced by the innovations, and the six numbers behind them by the positions and
     velocities that the model predicts there. Returns the first row whose state is not finite, or -1.
     """
     model, p = constants
-    active, gain = model.active, track.gain
+    active, gain, since = model.active, track.gain, 0.0
     for r in range(len(rows.count)):
         a, b, c = track.on[r][0], track.on[r][1], track.on[r][2]
         now = Model(model.body, switched(model.drive, a, b, c), active)
@@ -82,7 +104,8 @@ def tracked_rows(advance: Any, state: Any, rows: Rows, track: Track, constants: 
         x, z, m = state
         if not is_finite(x):
             return r
-        k = track.target[r]
+        k, span = track.target[r], rows.count[r] * rows.step[r]
+        since += span
         if k < 0:
             continue
         e1 = out[k, 0] - (m[0] if active & SENSED else x[0])
@@ -93,13 +116,18 @@ def tracked_rows(advance: Any, state: Any, rows: Rows, track: Track, constants: 
         out[k, 2] = e3
         for j in range(6):
             out[k, 3 + j] = x[j]
+        over, since = since, 0.0
         if not track.corrected[k]:
             continue
-        # a joint that sticks is moved, and stays stuck
-        d1 = 0.0 if active & DRY and x[3] == 0.0 else gain[1] * e1
-        d2 = 0.0 if active & DRY and x[4] == 0.0 else gain[4] * e2
-        d3 = 0.0 if active & DRY and x[5] == 0.0 else gain[7] * e3
-        # and a current that is held at its limit stays there: moved, it could only fall
+        pushed = (gain[1] * e1, gain[4] * e2, gain[7] * e3)
+        d1, d2, d3 = pushed
+        if active & DRY and (x[3] == 0.0 or x[4] == 0.0 or x[5] == 0.0):
+            # the torque that the model does not know of acts since the last correction, and so does friction
+            at, push = model_at(now, p, rows.time[r] + span)
+            if active & ALGEBRAIC:
+                x = settled_state(x, v, at, p)
+            d1, d2, d3 = passing(x, z, v, pushed, over, at, p, lock, push)
+        # a current that is held at its limit stays there: moved, it could only fall
         if active & CURRENT_LIMIT:
             a = 0.0 if abs(x[6]) >= _HELD * current_bound(0, p) else a
             b = 0.0 if abs(x[7]) >= _HELD * current_bound(1, p) else b
@@ -118,8 +146,10 @@ def tracked_rows(advance: Any, state: Any, rows: Rows, track: Track, constants: 
         if active & SENSED:
             m = (m[0] + gain[0] * e1, m[1] + gain[3] * e2, m[2] + gain[6] * e3)
         if active & TWO_MASS:
+            # friction holds motors, and no links
+            w1, w2, w3 = pushed
             z = with_links(
-                z, (z[3] + gain[0] * e1, z[4] + gain[3] * e2, z[5] + gain[6] * e3, z[6] + d1, z[7] + d2, z[8] + d3)
+                z, (z[3] + gain[0] * e1, z[4] + gain[3] * e2, z[5] + gain[6] * e3, z[6] + w1, z[7] + w2, z[8] + w3)
             )
         state = State(x, z, m)
     return -1
@@ -127,12 +157,12 @@ def tracked_rows(advance: Any, state: Any, rows: Rows, track: Track, constants: 
 
 @compiled
 def _tracked(state: Any, rows: Any, track: Any, constants: Any, lock: Any, out: Any) -> int:
-    return tracked_rows(advance, state, rows, track, constants, lock, out)
+    return tracked_rows(advance, passing, state, rows, track, constants, lock, out)
 
 
 @compiled
 def _tracked_trains(state: Any, rows: Any, track: Any, constants: Any, lock: Any, out: Any) -> int:
-    return tracked_rows(train_advance, state, rows, track, constants, lock, out)
+    return tracked_rows(train_advance, train_passing, state, rows, track, constants, lock, out)
 
 
 class Tracked(NamedTuple):
