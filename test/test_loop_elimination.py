@@ -120,3 +120,24 @@ def test_what_a_withdrawn_effect_contains_takes_its_place_if_the_log_asks_for_it
     if left is not None:
         assert found.model.point.effects[0].values["torque"] == pytest.approx(true, rel=0.2)
         assert found.chosen[0].gain > 16.0
+
+
+@pytest.mark.parametrize("true, left", [(0.05, ("coulomb_friction", 1)), (1e-4, None)])
+def test_what_a_withdrawn_effect_made_needless_comes_back_if_the_log_asks_for_it(true, left):
+    """Seen on a desktop arm: friction by load took up one level of friction, which was removed, and was withdrawn for
+    its size. All friction of its joint went with it."""
+    base, trials, state = lacking(parse_effect(f"coulomb_friction:joint=1,torque={true}"))
+    level = parse_effect("coulomb_friction:joint=1,torque=0.05")
+    loaded = parse_effect("load_dependent_friction:joint=1,coefficient=0.99")
+    assert "coulomb_friction" not in loaded.kind.contains
+    tried = []
+    for effect in (level, loaded):
+        fitted = base.fit.run(base.with_effect(level), (), rounds=2)
+        tried.append(Trial(Scored(effect.kind.name, 1, 100.0, values=dict(effect.values)), 100.0, 9.0, fitted, 5.0))
+    tried[1] = replace(tried[1], fitted=replace(tried[1].model, point=Point(base.model.point.theta, (loaded,))))
+    assert trials.implausible(loaded) is not None
+    history = tuple(Stage(tuple(tried), Threshold.alike(16.0), base.model, each) for each in tried)
+    chosen = (Chosen.of(tried[1], history),)
+    found = Elimination(trials, KINDS).withdraw(replace(state, model=tried[1].model, history=history, chosen=chosen))
+    assert found.keys == (() if left is None else (left,))
+    assert tuple((e.kind.name, e.joint) for e in found.model.point.effects) == found.keys

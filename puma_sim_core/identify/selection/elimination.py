@@ -71,15 +71,13 @@ class Elimination:
         return state
 
     def _withdrawn(self, state: SelectionState, number: int) -> SelectionState:
-        """The state with the best of the effects that one contains in its place, if the log asks for that; else without
-        it."""
+        """The state with another effect in the place of one, the best that the log asks for of those that it contains
+        and of those that it may have made needless; else without it."""
         fit, chosen, point = PredictionFit(self.predictor, state.noise), state.chosen[number], state.model.point
         at = Point(point.theta, _less(point.effects, number))
         model, _ = fit.to_end(at, self.trials.free(at))
-        found = [
-            self._ended(state, point, number, trial, effect)
-            for trial, effect in self._simpler(state, number, point.effects[number])
-        ]
+        tried = [*self._simpler(state, number, point.effects[number]), *self._removed(state, number)]
+        found = [self._ended(state, point, number, trial, effect) for trial, effect in tried]
         for fitted, trial in sorted(found, key=_cost):
             gain = model.objective - fitted.objective - trial.occam
             own = Chosen.of(trial, state.history, chosen.stage, gain)
@@ -220,6 +218,13 @@ class Elimination:
         for trial in self._contained(state, number):
             yield trial, trial.effect
             yield trial, _alike(trial.effect, effect)
+
+    def _removed(self, state: SelectionState, number: int) -> Iterator[tuple[Trial, Effect]]:
+        """Trials, on the joint of an effect of the model, that were accepted and are in the model no more."""
+        for stage in state.history:
+            trial = stage.accepted
+            if trial is not None and trial.joint == state.keys[number][1] and trial.key not in state.keys:
+                yield trial, trial.effect
 
     def _contained(self, state: SelectionState, number: int) -> list[Trial]:
         """Trials, beside the one of an effect, of the effects that it contains."""
