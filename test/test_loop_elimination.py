@@ -99,45 +99,31 @@ def test_an_effect_that_ended_where_no_machine_has_it_is_withdrawn():
         assert {t.key for t in stage.trials if t.possible} == {("coulomb_friction", 1)}
 
 
-@pytest.mark.parametrize("true, left", [(0.05, ("coulomb_friction", 1)), (1e-4, None)])
-def test_what_a_withdrawn_effect_contains_takes_its_place_if_the_log_asks_for_it(true, left):
-    """Seen on a servo with friction by load: friction over the position took a part of that up, and was withdrawn for
-    its size. All friction of its joint went with it."""
+VARYING = "position_dependent_friction:joint=1,torque=0.05,amplitude=9,angle=1.5"
+LOADED = "load_dependent_friction:joint=1,coefficient=0.99"
+
+
+@pytest.mark.parametrize("true, stays", [(0.05, True), (1e-4, False)])
+@pytest.mark.parametrize("impossible, removed", [(VARYING, False), (LOADED, True)])
+def test_a_simpler_effect_takes_the_place_of_a_withdrawn_one_if_the_log_asks_for_it(impossible, removed, true, stays):
+    """Of those that it contains: friction over the position took a part of friction by load up, was withdrawn for its
+    size, and all friction of its joint went with it. And of those that it made needless: so it was with friction by
+    load, beside which one level had been removed."""
     base, trials, state = lacking(parse_effect(f"coulomb_friction:joint=1,torque={true}"))
-    level = parse_effect("coulomb_friction:joint=1,torque=0.05")
-    varying = parse_effect("position_dependent_friction:joint=1,torque=0.05,amplitude=9,angle=1.5")
+    level, rich = parse_effect("coulomb_friction:joint=1,torque=0.05"), parse_effect(impossible)
+    assert ("coulomb_friction" in rich.kind.contains) is not removed and trials.implausible(rich) is not None
     tried = []
-    for effect in (level, varying):
+    for effect in (level, rich):
         fitted = base.fit.run(base.with_effect(level), (), rounds=2)
         tried.append(Trial(Scored(effect.kind.name, 1, 100.0, values=dict(effect.values)), 100.0, 9.0, fitted, 5.0))
-    tried[1] = replace(tried[1], fitted=replace(tried[1].model, point=Point(base.model.point.theta, (varying,))))
-    history = (Stage(tuple(tried), Threshold.alike(16.0), base.model, tried[1]),)
+    tried[1] = replace(tried[1], fitted=replace(tried[1].model, point=Point(base.model.point.theta, (rich,))))
+    accepted = tried if removed else tried[1:]
+    history = tuple(Stage(tuple(tried), Threshold.alike(16.0), base.model, each) for each in accepted)
     chosen = (Chosen.of(tried[1], history),)
     found = Elimination(trials, KINDS).withdraw(replace(state, model=tried[1].model, history=history, chosen=chosen))
-    assert found.keys == (() if left is None else (left,))
+    assert found.keys == ((("coulomb_friction", 1),) if stays else ())
     assert tuple((e.kind.name, e.joint) for e in found.model.point.effects) == found.keys
-    assert found.history[0].refuting.key == ("position_dependent_friction", 1)
-    if left is not None:
+    assert found.history[-1].refuting.key == (rich.kind.name, 1)
+    if stays:
         assert found.model.point.effects[0].values["torque"] == pytest.approx(true, rel=0.2)
         assert found.chosen[0].gain > 16.0
-
-
-@pytest.mark.parametrize("true, left", [(0.05, ("coulomb_friction", 1)), (1e-4, None)])
-def test_what_a_withdrawn_effect_made_needless_comes_back_if_the_log_asks_for_it(true, left):
-    """Seen on a desktop arm: friction by load took up one level of friction, which was removed, and was withdrawn for
-    its size. All friction of its joint went with it."""
-    base, trials, state = lacking(parse_effect(f"coulomb_friction:joint=1,torque={true}"))
-    level = parse_effect("coulomb_friction:joint=1,torque=0.05")
-    loaded = parse_effect("load_dependent_friction:joint=1,coefficient=0.99")
-    assert "coulomb_friction" not in loaded.kind.contains
-    tried = []
-    for effect in (level, loaded):
-        fitted = base.fit.run(base.with_effect(level), (), rounds=2)
-        tried.append(Trial(Scored(effect.kind.name, 1, 100.0, values=dict(effect.values)), 100.0, 9.0, fitted, 5.0))
-    tried[1] = replace(tried[1], fitted=replace(tried[1].model, point=Point(base.model.point.theta, (loaded,))))
-    assert trials.implausible(loaded) is not None
-    history = tuple(Stage(tuple(tried), Threshold.alike(16.0), base.model, each) for each in tried)
-    chosen = (Chosen.of(tried[1], history),)
-    found = Elimination(trials, KINDS).withdraw(replace(state, model=tried[1].model, history=history, chosen=chosen))
-    assert found.keys == (() if left is None else (left,))
-    assert tuple((e.kind.name, e.joint) for e in found.model.point.effects) == found.keys
