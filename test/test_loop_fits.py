@@ -22,7 +22,7 @@ from puma_sim_core.identify.prepare import runnable
 from puma_sim_core.identify.screening.evidence import Scored
 from puma_sim_core.identify.selection.refits import Refits
 from puma_sim_core.identify.selection.state import Stage, Threshold
-from puma_sim_core.identify.settings import FITTING
+from puma_sim_core.identify.settings import FITTING, SELECTION
 from puma_sim_core.plant.mechanism_file import load_mechanism
 
 pytestmark = pytest.mark.long
@@ -188,8 +188,9 @@ def test_a_limit_is_fitted_on_from_where_it_was_found_in_the_stage_before():
     assert resumed(elsewhere, stages=0) is now
 
 
-def test_a_limit_starts_from_the_nominal_parameters_at_the_level_that_suits_these():
-    """A limit of the current and the torque constant scale each other: stretched parameters have another level."""
+def stretched_away():
+    """A pendulum with a limit of its current: the trials, a state whose parameters are stretched, and a trial that is
+    held at another limit, with a gain of 10 nat."""
     true = parse_effect("current_limit:joint=1,current=0.6")
     base, trials, state = lacking(true)
     far = Point(PENDULUM.start + np.array([5.0, 0.0, 0.0, 0.0]) * PENDULUM.deviations, ())
@@ -199,9 +200,26 @@ def test_a_limit_starts_from_the_nominal_parameters_at_the_level_that_suits_thes
     level = Effect(true.kind, 1, {"current": 6.0})
     stuck = trials.judged(base.fit, stretched, scored, replace(stretched, point=Point(far.theta, (level,))))
     stuck = replace(stuck, gain=10.0, fitted=replace(stuck.fitted, names=((0, "current"),)))
-    again = Refits(trials, KINDS).from_nominal(replace(state, model=stretched, trials=(stuck,))).trials[0]
+    return trials, replace(state, model=stretched), stuck
+
+
+def test_a_limit_starts_from_the_nominal_parameters_at_the_level_that_suits_these():
+    """A limit of the current and the torque constant scale each other: stretched parameters have another level."""
+    trials, state, stuck = stretched_away()
+    again = Refits(trials, KINDS).from_nominal(replace(state, trials=(stuck,))).trials[0]
     assert again.effect.values["current"] == pytest.approx(0.6, rel=0.01)
     assert np.all(np.abs(again.model.point.theta - PENDULUM.start) < 0.2 * PENDULUM.deviations)
+
+
+def test_what_the_screening_saw_most_of_starts_from_there_too_though_it_is_behind():
+    """Trials of nothing that lead the model itself to better parameters may be the best by their gain."""
+    trials, state, stuck = stretched_away()
+    others = (stuck,) * SELECTION.most_polished
+    unseen = replace(stuck, gain=-20.0)
+    seen = replace(stuck, gain=-30.0, scored=replace(stuck.scored, gain=100.0))
+    behind = (*(unseen,) * SELECTION.most_polished, seen)
+    *_, again = Refits(trials, KINDS).from_nominal(replace(state, trials=(*others, *behind))).trials
+    assert again.effect.values["current"] == pytest.approx(0.6, rel=0.01)
 
 
 def test_a_trial_worse_than_the_model_without_it_starts_from_that_model():
@@ -219,12 +237,11 @@ def test_a_trial_worse_than_the_model_without_it_starts_from_that_model():
     assert refits.from_base(replace(state, trials=(good,))).trials == (good,)
 
 
-def test_a_trial_by_itself_is_fitted_to_its_end_where_the_validation_set_speaks_against_it():
+def test_the_best_trial_is_fitted_to_its_end_with_none_near_it():
+    """A fit that has not ended misfits in just its own direction, and lacks standard errors for it."""
     base, trials, state, tried = limited()
-    refits = Refits(trials, KINDS)
     rough = replace(tried(4.5, base.model.point.theta), validation_gain=10.0)
-    assert refits.polished(replace(state, trials=(rough,))).trials == (rough,)
-    (polished,) = refits.polished(replace(state, trials=(replace(rough, validation_gain=-1.0),))).trials
+    (polished,) = Refits(trials, KINDS).polished(replace(state, trials=(rough,))).trials
     assert polished.gain > rough.gain
 
 

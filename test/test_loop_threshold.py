@@ -12,7 +12,6 @@ from test_loop_choice import CHOOSER, A, B, elimination, fitted, state_of, trial
 
 from puma_sim_core.effects import KINDS
 from puma_sim_core.identify.screening.surrogates import level
-from puma_sim_core.identify.selection import refits
 from puma_sim_core.identify.selection.selection import Selection, in_both
 from puma_sim_core.identify.selection.state import Chosen, Stage, Threshold
 from puma_sim_core.identify.settings import FITTING, SELECTION
@@ -160,19 +159,6 @@ def test_what_not_every_drive_has_needs_the_standard_errors_of_the_least_gain(ch
     assert (stays(B, less), stays(B, more)) == (False, True)
     second = ("load_dependent_friction", A[1])
     assert (stays(second, less), stays(second, more)) == (not chosen, True)
-
-
-@pytest.mark.parametrize("less, again", [(15.9, True), (16.1, False)])
-def test_a_best_trial_without_the_standard_errors_of_a_name_is_fitted_to_its_end(monkeypatch, less, again):
-    """A fit that has not ended misfits in just its own direction."""
-    better, judged = worse_by(0.0), []
-    one = replace(trial(B, 50.0, validation_gain=10.0), fitted=worse_by(0.0))
-    state = replace(state_of([]), model=worse_by(less), trials=(one,))
-    fit = SimpleNamespace(derivatives=lambda *about: None, linear=lambda *about, rounds: better)
-    monkeypatch.setattr(refits, "PredictionFit", lambda predictor, noise: fit)
-    trials = SimpleNamespace(judged=lambda *found: judged.append(found[-1]) or one)
-    refits.Refits.polished(SimpleNamespace(predictor=CHOOSER.predictor, trials=trials), state)
-    assert judged == ([better] if again else [])
 
 
 def test_the_first_dry_friction_of_a_joint_acts_wherever_it_moves():

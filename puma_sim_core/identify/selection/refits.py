@@ -13,7 +13,6 @@ import numpy as np
 from puma_sim_core.effects import Effect, Kind
 from puma_sim_core.effects.base import Parameter, Role
 from puma_sim_core.errors import ParameterError
-from puma_sim_core.identify.fitting.dispersion import errors_between
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit, bounded
 from puma_sim_core.identify.fitting.trials import Trial, Trials
 from puma_sim_core.identify.parallel import parallel_map
@@ -73,11 +72,17 @@ class Refits:
 
     def from_nominal(self, state: SelectionState) -> SelectionState:
         """The best trials start from the nominal parameters as well, where a missing effect has
-        stretched those of the model: what it took up keeps a trial of that effect in a local minimum."""
+        stretched those of the model: what it took up keeps a trial of that effect in a local minimum.
+
+        So do those of which the screening saw most, of the trials that fit worse than the model without their effect:
+        none need do so, and the best by their gain may all be that model at other parameters.
+        """
         if not state.model.point.stretched(self.predictor.mechanism):
             return state
-        possible = (t for t in state.trials if t.explains)
+        possible = [t for t in state.trials if t.explains]
         best = sorted(possible, key=lambda t: -t.gain)[: SELECTION.most_polished]
+        behind = (t for t in possible if t.gain < 0.0)
+        best += sorted(behind, key=lambda t: -t.scored.gain)[: SELECTION.most_polished]
         fit, start = PredictionFit(self.predictor, state.noise), self.predictor.mechanism.start
 
         def again(trial: Trial) -> Trial:
@@ -168,18 +173,14 @@ class Refits:
         return _with_trials(state, again)
 
     def polished(self, state: SelectionState) -> SelectionState:
-        """Trials near the best are fitted to their end, with all derivatives about themselves; the best alone only
-        where the validation set speaks against it, or what it misfits in its own direction: a fit that has not ended
-        misfits there."""
+        """Trials near the best are fitted to their end, with all derivatives about themselves: a fit that has not ended
+        misfits in its own direction, and the next may not be the worse one."""
         possible = [t for t in state.trials if t.explains]
         top = max((t.gain for t in possible), default=0.0)
         if top < SELECTION.worth_polishing:
             return state
         near = sorted((t for t in possible if t.gain > SELECTION.near_best * top), key=lambda t: -t.gain)
         near = near[: SELECTION.most_polished]
-        ended = errors_between(self.predictor, near[0].model, state.model) > SELECTION.name_errors
-        if len(near) < 2 and near[0].validation_gain > 0.0 and ended:
-            return state
         fit = PredictionFit(self.predictor, state.noise)
         first = len(state.model.names)
 
