@@ -107,8 +107,9 @@ same-python:
 $(BENCH_VENV)/.created:
 	$(call make_venv,$(BENCH_VENV))
 
-# Only wheels of numba: where there is none, a build from source would need LLVM.
-PIP_INSTALL = $(BIN)/python -m pip install -q --only-binary numba,llvmlite \
+# Only wheels of numba: where there is none, a build from source would need LLVM. What is imported is compiled to bytecode
+# then; all of it would take as long as the rest.
+PIP_INSTALL = $(BIN)/python -m pip install -q --no-compile --only-binary numba,llvmlite \
     $(if $(NUMPY),-c $(VENV)/constraints.txt)
 
 $(INSTALLED): $(VENV)/.created setup.py pyproject.toml
