@@ -81,7 +81,9 @@ class Refits:
             return state
         possible = [t for t in state.trials if t.explains]
         best = sorted(possible, key=lambda t: -t.gain)[: SELECTION.most_polished]
-        behind = (t for t in possible if t.gain < 0.0)
+        share = SELECTION.relinearised_share * max((t.scored.gain for t in possible), default=0.0)
+        seen = max(SELECTION.least_gain, share)
+        behind = (t for t in possible if t.gain < 0.0 and t.scored.gain > seen)
         best += sorted(behind, key=lambda t: -t.scored.gain)[: SELECTION.most_polished]
         fit, start = PredictionFit(self.predictor, state.noise), self.predictor.mechanism.start
 

@@ -44,7 +44,8 @@ class Selection:
     unfinished: float = 3.0  #: difference [nat] of two fits from that of their trials: unfinished fits
 
     # --- trials that are fitted again
-    #: best screened trials, and share of the best gain, whose derivatives are taken anew after a poor fit
+    #: best screened trials, and share of the best gain, whose derivatives are taken anew after a poor fit; the share is
+    #: also that from which those that fit worse than none start from the nominal parameters
     relinearised: int = 4
     relinearised_two_mass: int = 1
     relinearised_share: float = 0.03
