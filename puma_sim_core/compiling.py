@@ -3,7 +3,7 @@
 
 A program that begins with `Compilation` starts at once from a cold cache. Who starts the other process takes the lock
 of the cache and hands it over, so that one is there however many programs begin. It ends by itself, and lives on where
-the program ends before.
+the program ends before; one that takes what others leave gives way to a program that has nothing to do but wait.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -83,9 +84,13 @@ class Compilation:
                 # the lock is held until that process ends
                 pass_fds=(lock.fileno(),),
             )
-        if not self._patient:
-            # not where this program has nothing to do but wait
+        behind = _behind()
+        if self._patient:
+            # this program has nothing to do but wait
+            behind.unlink(missing_ok=True)
+        else:
             _put_behind(self._process.pid)
+            behind.write_text(str(self._process.pid))
         return True
 
     def _awaited(self, part: str) -> bool:
@@ -108,8 +113,9 @@ class Compilation:
             return
         if all(map(_is_there, self._missing)):
             return
-        if self._process is None:
-            # another program's process, which may have made other parts
+        if self._process is None or self._process.returncode == -signal.SIGTERM:
+            # another program's process, which may have made other parts, or to which this one's gave way
+            self._process = None
             self._begin()
             return
         self._failed = True
@@ -125,6 +131,8 @@ class Compilation:
             if self._process is not None:
                 self._process.wait()
             elif not self._begin():
+                if self._patient:
+                    _end_what_is_behind()
                 with open(str(jit.compiled_mark("lock")), "a") as lock:
                     fcntl.flock(lock, fcntl.LOCK_SH)
             self._look()
@@ -136,6 +144,19 @@ def _put_behind(process: int) -> None:
         os.setpriority(os.PRIO_PROCESS, process, _LOW)
         # Linux may share the processors out by sessions first, and that process has one of its own
         Path(f"/proc/{process}/autogroup").write_text(str(_LOW))
+
+
+def _behind() -> Path:
+    """The file with the number of the last process that was put behind others."""
+    return Path(str(jit.compiled_mark("behind")))
+
+
+def _end_what_is_behind() -> None:
+    """End a process that others may keep from its work for long; what it has made is in the cache."""
+    with contextlib.suppress(OSError, ValueError):
+        process = int(_behind().read_text())
+        if os.getpriority(os.PRIO_PROCESS, process) == _LOW:
+            os.kill(process, signal.SIGTERM)
 
 
 def _is_there(part: str) -> bool:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -63,6 +64,21 @@ def test_the_process_stands_behind_work_that_goes_on(begun, patient, niceness):
     group = Path(f"/proc/{process.pid}/autogroup")
     assert not group.exists() or f"nice {niceness}" in group.read_text()
     process.wait()
+
+
+def test_a_process_behind_others_gives_way_to_one_that_is_waited_for(begun, tmp_path):
+    """It would take as long as the others work."""
+    first = begun("import time; time.sleep(600)")
+    waits = begun(f"import time; time.sleep(0.3); {MAKES}", patient=True)
+    assert len(begun.started) == 1
+    ends = threading.Thread(target=waits.wait)
+    ends.start()
+    assert first._process.wait() == -signal.SIGTERM
+    # the program that started it waits for the other one, as for that of any program
+    first.wait()
+    ends.join()
+    assert len(begun.started) == 2 and all((tmp_path / part).exists() for part in jit.PARTS)
+    assert FAILED.format(tmp_path / "log") not in begun.said
 
 
 def test_a_process_that_fails_is_told_once_and_not_tried_again(begun, tmp_path):
