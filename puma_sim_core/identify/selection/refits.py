@@ -175,8 +175,11 @@ class Refits:
         return _with_trials(state, again)
 
     def polished(self, state: SelectionState) -> SelectionState:
-        """Trials near the best are fitted to their end, with all derivatives about themselves: a fit that has not ended
-        misfits in its own direction, and the next may not be the worse one."""
+        """The best trial and those near it are fitted to their end, with all derivatives about themselves.
+
+        Which of them is the best is known then alone. A fit that has not ended misfits in its own direction, and lacks
+        the standard errors of a name for it.
+        """
         possible = [t for t in state.trials if t.explains]
         top = max((t.gain for t in possible), default=0.0)
         if top < SELECTION.worth_polishing:
