@@ -248,7 +248,7 @@ def test_explain_names_an_effect_of_a_user(tmp_path, effect, joint):
         *("simulate", tmp_path / "volts.csv", "--out", run, "--initial", "0,-1.5,1.2", "--limits", "off"),
         *("--effect", "viscous_friction:joint=1,coefficient=5", "--effect", "viscous_friction:joint=2,coefficient=9"),
         *("--effect", "viscous_friction:joint=3,coefficient=4", *files, "--effect", effect),
-        # compiled here: `explain` would wait for a compilation that takes what others leave
+        # compiled here: `explain` would end a compilation behind it, and begin another one
         kernel="numba",
     )
     assert done.returncode == 0, done.stderr
