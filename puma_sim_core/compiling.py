@@ -18,6 +18,7 @@ import threading
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from typing import IO
 
 from puma_sim_core import jit
 
@@ -67,13 +68,24 @@ class Compilation:
         if not patient and "arm" in missing:
             say(STARTS)
 
-    def _begin(self) -> bool:
-        """Start the other process, unless one is at work, of this program or of another."""
-        with open(str(jit.compiled_mark("lock")), "a") as lock, open(str(self._log), "ab") as log:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                return False
+    def _begin(self, waits: bool = False) -> None:
+        """Start the other process where what is missing is still missing.
+
+        waits : wait for whoever begins or is at work, and end what is behind; otherwise do nothing then.
+        """
+        now = 0 if waits else fcntl.LOCK_NB
+        # a process begins in the turn of its program alone, so that none takes the place of one that gave way
+        with _opened("turn") as turn, _opened("lock") as lock, contextlib.suppress(BlockingIOError):
+            fcntl.flock(turn, fcntl.LOCK_EX | now)
+            if waits:
+                _end_what_is_behind()
+            fcntl.flock(lock, fcntl.LOCK_EX | now)
+            if not all(map(_is_there, self._missing)):
+                self._start(lock)
+
+    def _start(self, lock: IO[str]) -> None:
+        """Start the other process, which holds the lock until it ends."""
+        with open(str(self._log), "ab") as log:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", "puma_sim_core.identify.compile_ahead", "--locked", *self._missing],
                 stdin=subprocess.DEVNULL,
@@ -81,7 +93,6 @@ class Compilation:
                 stderr=log,
                 start_new_session=True,
                 env={**os.environ, "PUMA_SIM_KERNEL": "numba"},
-                # the lock is held until that process ends
                 pass_fds=(lock.fileno(),),
             )
         behind = _behind()
@@ -91,7 +102,6 @@ class Compilation:
         else:
             _put_behind(self._process.pid)
             behind.write_text(str(self._process.pid))
-        return True
 
     def _awaited(self, part: str) -> bool:
         """Whether a part is not ready; one that cannot be compiled never is."""
@@ -123,6 +133,7 @@ class Compilation:
 
     def wait(self) -> None:
         """Return when what is missing is there, or cannot be compiled."""
+        self._patient = True
         said = False
         while not self._failed and not all(map(_is_there, self._missing)):
             if not said:
@@ -130,12 +141,13 @@ class Compilation:
                 said = True
             if self._process is not None:
                 self._process.wait()
-            elif not self._begin():
-                if self._patient:
-                    _end_what_is_behind()
-                with open(str(jit.compiled_mark("lock")), "a") as lock:
-                    fcntl.flock(lock, fcntl.LOCK_SH)
+            else:
+                self._begin(waits=True)
             self._look()
+
+
+def _opened(name: str) -> IO[str]:
+    return open(str(jit.compiled_mark(name)), "a")
 
 
 def _put_behind(process: int) -> None:

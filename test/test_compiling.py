@@ -45,12 +45,13 @@ def begun(tmp_path, monkeypatch):
     return compilation
 
 
-def test_programs_that_begin_together_start_one_process(begun):
+@pytest.mark.parametrize("patient", [False, True])
+def test_programs_that_begin_together_start_one_process(begun, patient):
     slow = f"import time; time.sleep(0.5); {MAKES}"
-    first, *others = [begun(slow) for _ in range(5)]
+    first, *others = [begun(slow, patient=patient) for _ in range(5)]
     assert len(begun.started) == 1
-    assert set(begun.said) == {STARTS}
-    for each in (*others, first):
+    assert set(begun.said) == (set() if patient else {STARTS})
+    for each in (*others, first) if patient else (first, *others):
         each.wait()
     assert len(begun.started) == 1
     begun(slow).wait()  # all is there now
@@ -66,17 +67,27 @@ def test_the_process_stands_behind_work_that_goes_on(begun, patient, niceness):
     process.wait()
 
 
+def _looks(compilation: Compilation, done: threading.Event) -> None:
+    while not done.is_set():
+        compilation._awaited("arm")
+
+
 def test_a_process_behind_others_gives_way_to_one_that_is_waited_for(begun, tmp_path):
     """It would take as long as the others work."""
-    first = begun("import time; time.sleep(600)")
+    first, *others = [begun("import time; time.sleep(600)") for _ in range(6)]
     waits = begun(f"import time; time.sleep(0.3); {MAKES}", patient=True)
     assert len(begun.started) == 1
-    ends = threading.Thread(target=waits.wait)
-    ends.start()
-    assert first._process.wait() == -signal.SIGTERM
-    # the program that started it waits for the other one, as for that of any program
-    first.wait()
-    ends.join()
+    # programs that go on find now and then what is missing, and none of them takes the place of the one that waits
+    done = threading.Event()
+    at_work = [threading.Thread(target=_looks, args=(each, done)) for each in (first, *others)]
+    for each in at_work:
+        each.start()
+    process = first._process
+    waits.wait()
+    done.set()
+    for each in at_work:
+        each.join()
+    assert process.wait() == -signal.SIGTERM
     assert len(begun.started) == 2 and all((tmp_path / part).exists() for part in jit.PARTS)
     assert FAILED.format(tmp_path / "log") not in begun.said
 
