@@ -211,12 +211,13 @@ def test_a_limit_starts_from_the_nominal_parameters_at_the_level_that_suits_thes
     assert np.all(np.abs(again.model.point.theta - PENDULUM.start) < 0.2 * PENDULUM.deviations)
 
 
-def test_what_the_screening_saw_most_of_starts_from_there_too_though_it_is_behind():
+@pytest.mark.parametrize("gain", [-30.0, 30.0])
+def test_what_gains_less_than_the_screening_saw_starts_from_there_too(gain):
     """Trials of nothing that lead the model itself to better parameters may be the best by their gain."""
     trials, state, stuck = stretched_away()
-    others = (stuck,) * SELECTION.most_polished
-    unseen = replace(stuck, gain=-20.0)
-    seen = replace(stuck, gain=-30.0, scored=replace(stuck.scored, gain=100.0))
+    others = (replace(stuck, gain=50.0),) * SELECTION.most_polished
+    unseen = replace(stuck, gain=-20.0, scored=replace(stuck.scored, gain=0.0))
+    seen = replace(stuck, gain=gain, scored=replace(stuck.scored, gain=100.0))
     behind = (*(unseen,) * SELECTION.most_polished, seen)
     *_, again = Refits(trials, KINDS).from_nominal(replace(state, trials=(*others, *behind))).trials
     assert again.effect.values["current"] == pytest.approx(0.6, rel=0.01)

@@ -239,8 +239,7 @@ class Elimination:
         stage = accepting(state.history, key)
         if stage is None or stage.accepted is None:
             return []
-        least = SELECTION.rival_share * stage.accepted.gain
-        near = [t for t in _open(stage, state) if t.gain > least]
+        near = [t for t in _open(stage, state) if t.gain > SELECTION.least_gain]
         return [
             t for n, t in enumerate(near) if n < SELECTION.rivals or (t.joint == key[1] and self._contains(t, key[0]))
         ]

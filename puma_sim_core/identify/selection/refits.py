@@ -74,8 +74,9 @@ class Refits:
         """The best trials start from the nominal parameters as well, where a missing effect has
         stretched those of the model: what it took up keeps a trial of that effect in a local minimum.
 
-        So do those of which the screening saw most, of the trials that fit worse than the model without their effect:
-        none need do so, and the best by their gain may all be that model at other parameters.
+        So do those of which the screening saw most, of the trials that gain less than it saw: the best by their gain
+        may all be the model without their effect at other parameters, and no fit about stretched ones keeps what is
+        seen of an effect that these took up.
         """
         if not state.model.point.stretched(self.predictor.mechanism):
             return state
@@ -83,7 +84,7 @@ class Refits:
         best = sorted(possible, key=lambda t: -t.gain)[: SELECTION.most_polished]
         share = SELECTION.relinearised_share * max((t.scored.gain for t in possible), default=0.0)
         seen = max(SELECTION.least_gain, share)
-        behind = (t for t in possible if t.gain < 0.0 and t.scored.gain > seen)
+        behind = (t for t in possible if t not in best and t.gain < t.scored.gain > seen)
         best += sorted(behind, key=lambda t: -t.scored.gain)[: SELECTION.most_polished]
         fit, start = PredictionFit(self.predictor, state.noise), self.predictor.mechanism.start
 

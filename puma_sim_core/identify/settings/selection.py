@@ -38,9 +38,7 @@ class Selection:
     # --- effects that contain one another
     replacement_gain: float = 3.0  #: gain [nat] that an effect must be better by than one that it replaces [calibrated]
     exact: float = 1e-4  #: share of a gain to which fits are exact at best: it counts in a log without noise
-    #: share of its gain from which on a rival is tried in the place of an effect, and how many
-    rival_share: float = 0.5
-    rivals: int = 3
+    rivals: int = 3  #: the best trials with the gain of a name that are tried in the place of an effect
     unfinished: float = 3.0  #: difference [nat] of two fits from that of their trials: unfinished fits
 
     # --- trials that are fitted again
