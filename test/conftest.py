@@ -30,14 +30,17 @@ if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
 #: files whose long tests take longest, the longest first: they are dealt out first, to and fro
 LONGEST = (
     "test_loop_blind",
-    "test_user_effects",
     "test_docs",
-    "test_loop_rigs",
+    "test_user_effects",
     "test_thesis_report",
-    "test_excite",
+    "test_loop_rest",
+    "test_loop_rigs",
+    "test_explain_many",
     "test_ros_loop_demo",
-    "test_loop_fits",
     "test_loop_shapes",
+    "test_excite",
+    "test_ros2_cli",
+    "test_loop_fits",
 )
 
 

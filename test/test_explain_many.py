@@ -99,6 +99,7 @@ def test_the_effects_of_a_line_can_be_simulated(alone, tmp_path):
     assert call("model", "--effect", rows[0]["effects"], "--out", tmp_path / "model.yaml") == 0
 
 
+@pytest.mark.long
 def test_a_report_is_that_of_explain_but_for_the_time_that_it_took(alone, logs, tmp_path):
     done = puma_sim("explain", logs[0], *PLANT, "--out", tmp_path, OPENBLAS_NUM_THREADS="1")
     assert done.returncode == 0, done.stderr
@@ -125,6 +126,7 @@ def test_a_dask_cluster_gives_the_same_bytes(alone, logs, tmp_path):
     assert contents(tmp_path / "out") == contents(alone)
 
 
+@pytest.mark.long
 def test_a_run_goes_on_where_it_stopped(alone, logs, tmp_path):
     out = tmp_path / "out"
     shutil.copytree(alone, out)
@@ -165,6 +167,7 @@ EFFECT = replace(MODEL, name="deadly_friction", look_alikes=(), screening=None)
 """
 
 
+@pytest.mark.long
 def test_a_worker_that_dies_is_a_line_and_is_tried_again(logs, tmp_path):
     flag = tmp_path / "flag"
     flag.touch()

@@ -369,6 +369,7 @@ def test_files_that_cannot_be_used(change, match):
         read_transmission(mapping, Reader(None))
 
 
+@pytest.mark.long
 def test_what_needs_the_links_is_refused(log_file, tmp_path):
     plant = tmp_path / "driven.yaml"
     plant.write_text(yaml_text(file_of(joint(), joint())))

@@ -181,6 +181,7 @@ print(len(log), sum(log.time[1:] <= log.time[:-1]), sum("were read" in note for 
 """
 
 
+@pytest.mark.long
 def test_a_huge_file_takes_no_more_memory_than_the_rows_that_are_read(file):
     """Twice and ten times the rows that are read, of all seven columns of an arm: in a process of
     its own, whose peak is its own. Behind those rows the time would go back."""

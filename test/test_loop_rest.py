@@ -103,6 +103,7 @@ def test_a_joint_that_rests_has_the_noise_of_its_sensor(tmp_path):
         assert np.sqrt((shown[:, 0] ** 2).mean()) < 1.1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("more", [(), (parse_effect("joint_elasticity:joint=1,stiffness=200,damping=0.15"),)])
 def test_errors_of_prediction_change_with_the_friction_and_do_not_jump(more, tmp_path):
     """Along a motion that turns round slowly: four times finer steps of the level change them a quarter as much."""

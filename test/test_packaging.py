@@ -257,6 +257,7 @@ def test_what_apt_and_rosdep_can_install_is_in_package_xml(metadata):
 _OPTIONAL = ("mujoco", "pinocchio", "control", "mcap_ros2", "dask", "distributed", "argcomplete", "sphinx")
 
 
+@pytest.mark.long
 def test_every_test_file_can_be_read_without_packages_that_only_some_need(tmp_path):
     """As `colcon test` reads them: one file that cannot be read ends all tests."""
     for name in _OPTIONAL:

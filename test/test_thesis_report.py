@@ -171,6 +171,7 @@ def test_json_holds_everything_and_nothing_that_changes():
     assert "run time" not in text and "Only on the page" not in text
 
 
+@pytest.mark.long
 def test_json_is_the_same_on_every_run_and_however_it_is_run(quick_results, tmp_path):
     chosen = [experiments()[number] for number in QUICK]
     again = json_text(run(chosen, seed=1), 1)
@@ -333,6 +334,7 @@ def test_command_refuses_a_file_as_folder(tmp_path, capsys):
     assert "cannot be made" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_command_in_a_process_of_its_own_gives_the_same_bytes(tmp_path):
     for name in "ab":
         done = puma_sim("thesis", "2.4", "--out", tmp_path / name, "--seed", "7")
