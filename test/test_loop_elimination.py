@@ -93,6 +93,7 @@ def test_an_effect_that_ended_where_no_machine_has_it_is_withdrawn():
     assert elimination.withdraw(kept) is kept
     left = elimination.withdraw(ending(far))
     assert left.keys == (("coulomb_friction", 1),) == tuple((e.kind.name, e.joint) for e in left.model.point.effects)
+    assert [(key, why == left.history[1].refuting.problem) for key, why in left.barred] == [(("joint_spring", 1), True)]
     assert [stage.accepted and stage.accepted.key for stage in left.history] == [("coulomb_friction", 1), None]
     for stage in (*left.history, left.chosen[0].stage):
         assert stage.refuting.key == ("joint_spring", 1) and "far outside the range" in stage.refuting.problem
@@ -122,6 +123,8 @@ def test_a_simpler_effect_takes_the_place_of_a_withdrawn_one_if_the_log_asks_for
     chosen = (Chosen.of(tried[1], history),)
     found = Elimination(trials, KINDS).withdraw(replace(state, model=tried[1].model, history=history, chosen=chosen))
     assert found.keys == ((("coulomb_friction", 1),) if stays else ())
+    # with another in its place no choice need be made again
+    assert [key for key, _ in found.barred] == ([] if stays else [(rich.kind.name, 1)])
     assert tuple((e.kind.name, e.joint) for e in found.model.point.effects) == found.keys
     assert found.history[-1].refuting.key == (rich.kind.name, 1)
     if stays:

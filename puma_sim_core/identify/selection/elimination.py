@@ -67,12 +67,12 @@ class Elimination:
                 history = tuple(stage.less(gone) for stage in state.history)
                 # nor may it be tied with one that stays
                 chosen = tuple(replace(c, stage=c.stage.less(gone)) for c in state.chosen)
-                return self.withdraw(self._withdrawn(replace(state, history=history, chosen=chosen), number))
+                return self.withdraw(self._withdrawn(replace(state, history=history, chosen=chosen), number, problem))
         return state
 
-    def _withdrawn(self, state: SelectionState, number: int) -> SelectionState:
+    def _withdrawn(self, state: SelectionState, number: int, problem: str) -> SelectionState:
         """The state with another effect in the place of one, the best that the log asks for of those that it contains
-        and of those that it may have made needless; else without it."""
+        and of those that it may have made needless; else without it, and with it barred for the problem."""
         fit, chosen, point = PredictionFit(self.predictor, state.noise), state.chosen[number], state.model.point
         at = Point(point.theta, _less(point.effects, number))
         model, _ = fit.to_end(at, self.trials.free(at))
@@ -85,7 +85,8 @@ class Elimination:
             compared = self._compared(simple, number)
             if compared is not None and self._asked_for(simple, own, compared):
                 return simple
-        return replace(state, model=model, jacobian=None, chosen=_less(state.chosen, number))
+        barred = (*state.barred, (chosen.key, problem))
+        return replace(state, model=model, jacobian=None, chosen=_less(state.chosen, number), barred=barred)
 
     def confirm(self, state: SelectionState) -> SelectionState:
         """Remove effects that were accepted beside a noise that was refused and that the present noise does not ask

@@ -93,14 +93,26 @@ class Selection:
         )
 
     def run(self, theta: Floats) -> SelectionState:
-        """Add effects until none is asked for. theta : parameters by the screening of filtered motion."""
-        state = self._start(theta)
+        """Add effects until none is asked for. theta : parameters by the screening of filtered motion.
+
+        Where an accepted effect came to values that no machine has, and nothing took its place, the stage that accepted
+        it is made again without it: what stood behind it there may be what the log asks for.
+        """
+        state, before = self._start(theta), list[SelectionState]()
         while True:
             self.progress("fitting", 0.25 + 0.6 * len(state.chosen) / (SELECTION.most_effects + 1))
+            before.append(state)
             state = _through(self.stage, state)
             if state.history[-1].accepted is None or len(state.chosen) == SELECTION.most_effects:
-                return _through(self.conclusion, state)
-            state = _through(self.addition, state)
+                ended = _through(self.conclusion, state)
+                wrong = dict(ended.barred[len(state.barred) :])
+                choices = [stage.accepted is not None and stage.accepted.key in wrong for stage in state.history]
+                if not any(choices):
+                    return ended
+                del before[choices.index(True) + 1 :]
+                state = replace(before.pop(), barred=ended.barred)
+            else:
+                state = _through(self.addition, state)
 
     def without(self, state: SelectionState, *keys: Key) -> SelectionState:
         """The selection less some effects, fitted again."""
@@ -172,6 +184,8 @@ class Selection:
             # a row noise that is no more than the changes from row to row makes much of what repeats, such as the
             # steps of an encoder: where the other noise is refused, a gain must hold in both
             trials, threshold = in_both(trials, threshold, state.doubted.trials, self._threshold(state.doubted))
+        barred = dict(state.barred)
+        trials = tuple(replace(t, problem=t.problem or barred.get(t.key)) for t in trials)
         trials = tuple(sorted(trials, key=lambda t: -t.gain))
         doubted = state.doubted is not None
         state = replace(state, trials=trials, retuned=state.retuned or state.model, doubted=None)

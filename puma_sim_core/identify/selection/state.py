@@ -141,7 +141,8 @@ class SelectionState:
     the innovations; chosen : the effects of the model, in its order; history : the stages so far; trials : those of
     the present stage; doubted : the state in a noise that the validation refused in this stage, None otherwise;
     retuned : the model with its parameters fitted and no effect, None before the first stage; retracted : effects that
-    were taken out at the end, since they do not lower the validation error.
+    were taken out at the end, since they do not lower the validation error; barred : effects that came to values that
+    no machine has, and why they may not be named.
     """
 
     model: Fitted
@@ -153,6 +154,7 @@ class SelectionState:
     doubted: SelectionState | None = None
     retuned: Fitted | None = None
     retracted: tuple[Key, ...] = ()
+    barred: tuple[tuple[Key, str], ...] = ()
 
     @property
     def keys(self) -> tuple[Key, ...]:

@@ -1,0 +1,92 @@
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
+"""The stages of a selection: what becomes of one whose effect came to values that no machine has."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from puma_sim_core.effects import KINDS
+from puma_sim_core.identify.fitting.prediction import Fitted, Point
+from puma_sim_core.identify.fitting.trials import Trial
+from puma_sim_core.identify.screening.evidence import Scored
+from puma_sim_core.identify.selection.selection import Selection
+from puma_sim_core.identify.selection.state import Chosen, SelectionState, Threshold
+
+STRIBECK, COULOMB, OFFSET = ("stribeck_friction", 1), ("coulomb_friction", 1), ("voltage_offset", 1)
+GAINS = {STRIBECK: 58.0, COULOMB: 46.0, OFFSET: 20.0}
+WHY = "it would need an impossible value: velocity on the bound"
+
+
+def model_of(chosen):
+    return Fitted(Point(np.zeros(1), tuple(each.key for each in chosen)), np.zeros((4, 1)), 0.0, ())
+
+
+class Stages(Selection):
+    """A selection with trials of given gains, where some effects come to values that no machine has. begun : the
+    effects of the model at each stage."""
+
+    def __init__(self, wrong):
+        self.library, self.begun = KINDS, []
+        self.stage, self.addition, self.conclusion = (self.try_all, self.decide), (self.add,), (self.withdraw,)
+        self.wrong = wrong
+
+    def progress(self, *_):
+        """Nothing is shown."""
+
+    def _start(self, _):
+        return SelectionState(model_of(()), None, None)
+
+    def try_all(self, state):
+        self.begun.append(state.keys)
+        left = ((key, gain) for key, gain in GAINS.items() if key not in state.keys)
+        return replace(state, trials=tuple(Trial(Scored(*key, 0.0), gain, 10.0, None, 3.0) for key, gain in left))
+
+    def _threshold(self, _):
+        return Threshold.alike(16.0)
+
+    def _beside(self, *_):
+        return True
+
+    def _common(self, accepted, _):
+        return accepted
+
+    def _parsimonious(self, best, _):
+        return best
+
+    def add(self, state):
+        chosen = (*state.chosen, Chosen.of(state.history[-1].accepted, state.history))
+        return replace(state, model=model_of(chosen), chosen=chosen)
+
+    def withdraw(self, state):
+        gone = [chosen for chosen in state.chosen if chosen.key in self.wrong]
+        kept = tuple(chosen for chosen in state.chosen if chosen not in gone)
+        barred = (*state.barred, *((chosen.key, WHY) for chosen in gone))
+        return replace(state, model=model_of(kept), chosen=kept, barred=barred)
+
+
+@pytest.mark.parametrize(
+    "wrong, named, begun",
+    [
+        ((), (STRIBECK, COULOMB, OFFSET), [0, 1, 2, 3]),
+        # what stood behind it has its place, and what came after it comes again
+        ((STRIBECK,), (COULOMB, OFFSET), [0, 1, 2, 3, 0, 1, 2]),
+        # what came before it stays
+        ((OFFSET,), (STRIBECK, COULOMB), [0, 1, 2, 3, 2]),
+        ((STRIBECK, COULOMB), (OFFSET,), [0, 1, 2, 3, 0, 1]),
+        ((STRIBECK, COULOMB, OFFSET), (), [0, 1, 2, 3, 0]),
+    ],
+)
+def test_the_stage_of_an_effect_that_no_machine_has_is_made_again_without_it(wrong, named, begun):
+    selection = Stages(wrong)
+    ended = selection.run(np.zeros(1))
+    assert ended.keys == named
+    assert [len(keys) for keys in selection.begun] == begun
+    assert dict(ended.barred) == dict.fromkeys(wrong, WHY)
+    # its last stage has it with the reason, and none of these accepts it
+    for key in wrong:
+        (last,) = (t for t in ended.history[-1].trials if t.key == key)
+        assert last.problem == WHY
+    assert not {stage.accepted.key for stage in ended.history if stage.accepted} & set(wrong)
