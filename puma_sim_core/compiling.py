@@ -73,13 +73,8 @@ class Compilation:
 
         waits : wait for whoever begins or is at work, and end what is behind; otherwise do nothing then.
         """
-        now = 0 if waits else fcntl.LOCK_NB
-        # a process begins in the turn of its program alone, so that none takes the place of one that gave way
-        with _opened("turn") as turn, _opened("lock") as lock, contextlib.suppress(BlockingIOError):
-            fcntl.flock(turn, fcntl.LOCK_EX | now)
-            if waits:
-                _end_what_is_behind()
-            fcntl.flock(lock, fcntl.LOCK_EX | now)
+        with _opened("lock") as lock, contextlib.suppress(BlockingIOError):
+            lock_in_turn(lock, waits)
             if not all(map(_is_there, self._missing)):
                 self._start(lock)
 
@@ -144,6 +139,20 @@ class Compilation:
             else:
                 self._begin(waits=True)
             self._look()
+
+
+def lock_in_turn(lock: IO[str], waits: bool) -> None:
+    """Take the lock of the cache, an open file.
+
+    waits : wait for whoever has it, and end what is behind others; otherwise raise BlockingIOError where it is taken.
+    """
+    now = 0 if waits else fcntl.LOCK_NB
+    # in the turn of one program alone, so that none takes the place of one that gave way
+    with _opened("turn") as turn:
+        fcntl.flock(turn, fcntl.LOCK_EX | now)
+        if waits:
+            _end_what_is_behind()
+        fcntl.flock(lock, fcntl.LOCK_EX | now)
 
 
 def _opened(name: str) -> IO[str]:

@@ -18,6 +18,7 @@ import pytest
 
 from puma_sim_core import compiling, jit
 from puma_sim_core.compiling import FAILED, STARTS, WAITS, Compilation
+from puma_sim_core.identify import compile_ahead
 
 #: makes the mark of each part that it is asked for
 MAKES = "import sys, pathlib; [pathlib.Path(sys.argv[1], name).touch() for name in sys.argv[2:]]"
@@ -90,6 +91,17 @@ def test_a_process_behind_others_gives_way_to_one_that_is_waited_for(begun, tmp_
     assert process.wait() == -signal.SIGTERM
     assert len(begun.started) == 2 and all((tmp_path / part).exists() for part in jit.PARTS)
     assert FAILED.format(tmp_path / "log") not in begun.said
+
+
+def test_compiling_ahead_does_not_wait_for_a_process_behind_others(begun, tmp_path, monkeypatch):
+    """`make test` waited for what `make run` had left."""
+    first = begun("import time; time.sleep(600)")
+    parts = {name: lambda: None for name in jit.PARTS}
+    monkeypatch.setattr(compile_ahead, "_PARTS", parts)
+    monkeypatch.setattr("sys.argv", ["compile_ahead"])
+    assert compile_ahead.main() == 0
+    assert first._process.wait() == -signal.SIGTERM
+    assert all((tmp_path / part).exists() for part in jit.PARTS)
 
 
 def test_a_process_that_fails_is_told_once_and_not_tried_again(begun, tmp_path):

@@ -3,15 +3,16 @@
 
 `python -m puma_sim_core.identify.compile_ahead` takes a minute or two, with names of parts only these; what it makes is
 kept on the disk, for this user and these sources. What is there already is left alone, and of several of these
-processes one works while the others wait; with ``--locked`` the one that started it holds their lock for it.
+processes one works while the others wait, and none for one that takes what others leave; with ``--locked`` the one that
+started it holds their lock for it.
 """
 
-import fcntl
 import sys
 
 import numpy as np
 
 from puma_sim_core import jit
+from puma_sim_core.compiling import lock_in_turn
 from puma_sim_core.control.sample_laws import compile_laws
 from puma_sim_core.dynamics.samples import flat
 from puma_sim_core.effects import KINDS, parse_effect
@@ -85,7 +86,7 @@ def main() -> int:
         return 0
     with open(str(jit.compiled_mark("lock")), "a") as lock:
         if "--locked" not in sys.argv:
-            fcntl.flock(lock, fcntl.LOCK_EX)
+            lock_in_turn(lock, waits=True)
         for part in [name for name in _PARTS if name in sys.argv] or _PARTS:
             mark = jit.compiled_mark(part)
             if mark is not None and not mark.exists():
