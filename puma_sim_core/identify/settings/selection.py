@@ -43,7 +43,7 @@ class Selection:
 
     # --- trials that are fitted again
     #: best screened trials, and share of the best gain, whose derivatives are taken anew after a poor fit; the share is
-    #: also that from which those that fit worse than none start from the nominal parameters
+    #: also that from which those that gain less than the screening saw start from the nominal parameters
     relinearised: int = 4
     relinearised_two_mass: int = 1
     relinearised_share: float = 0.03
