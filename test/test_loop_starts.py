@@ -6,15 +6,16 @@ from __future__ import annotations
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from loop_fits import PENDULUM, lacking
 
 from puma_sim_core.effects import KINDS, Effect, parse_effect
-from puma_sim_core.identify.fitting.prediction import Fitted, Point
+from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
 from puma_sim_core.identify.fitting.trials import Trial, Trials
 from puma_sim_core.identify.screening.evidence import Scored
 from puma_sim_core.identify.selection.refits import Refits
-from puma_sim_core.identify.settings import FITTING
+from puma_sim_core.identify.settings import FITTING, SELECTION
 
 pytestmark = pytest.mark.long
 
@@ -38,6 +39,55 @@ def test_a_fit_that_is_worse_than_none_goes_on_from_every_start():
     for order in (starts, starts[::-1]):
         (found,) = trials._relinearised(base, (), order, True)
         assert found.point.start == "nominal" and found.objective < base.model.objective
+
+
+@pytest.mark.parametrize(
+    "path, ends",
+    [
+        # as a limit of the current was fitted from 1.3 A where it is 0.6 A: each time the objective falls by a share
+        ([3021e3, 481e3, 175e3, 150e3, 18e3, 17769.0, 17768.5, 17768.4], 5),
+        # near its end a fit has the derivatives that it was given, and no more
+        ([17900.0, 17800.0, 17780.0, 17770.0, 17768.0], 2),
+        ([17900.0, 17800.0, 17799.0, 17770.0, 17768.0], 2),
+        ([17900.0, 17899.0, 17780.0, 17770.0, 17768.0], 1),
+        # what does not end is left
+        ([2.0 ** (40 - n) for n in range(40)], FITTING.relinearisations_far),
+    ],
+)
+def test_a_fit_that_falls_by_a_share_of_itself_is_not_at_its_end(path, ends):
+    at = iter(range(len(path)))
+    fit = PredictionFit.__new__(PredictionFit)
+    fit.derivatives = lambda point, pairs, near=None: point
+    fit.linear = lambda point, pairs, raw: SimpleNamespace(point=None, objective=path[next(at)])
+    found, _ = fit.to_end(None, ())
+    assert found.objective == path[ends]
+
+
+def beside_four(true, unseen):
+    """Trials with an unseen limit behind four better ones, as they start from the nominal parameters too."""
+    base, trials, state = lacking(parse_effect(true))
+    far = Point(PENDULUM.start + np.array([5.0, 0.0, 0.0, 0.0]) * PENDULUM.deviations, ())
+    errors = base.fit.errors(far)
+    stretched = replace(base.model, point=far, errors=errors, objective=base.fit.objective(errors, far))
+    limit = parse_effect(unseen)
+    scored = Scored(limit.kind.name, 1, 0.0, values=dict(limit.values), occam=3.0)
+    left = replace(stretched, point=Point(far.theta, (limit,)), names=((0, next(iter(limit.values))),))
+    stuck = replace(trials.judged(base.fit, stretched, scored, left), gain=-20.0)
+    screened = replace(scored, best=SimpleNamespace(entry=SimpleNamespace(candidate=SimpleNamespace(fixed=False))))
+    others = (replace(stuck, gain=50.0, scored=screened),) * SELECTION.most_polished
+    behind = Refits(trials, KINDS).from_nominal(replace(state, model=stretched, trials=(*others, stuck))).trials[-1]
+    return stuck, behind
+
+
+def test_a_limit_that_no_screening_saw_starts_from_the_nominal_parameters():
+    """Stretched parameters hide it from any screening about them."""
+    stuck, behind = beside_four("current_limit:joint=1,current=0.6", "current_limit:joint=1,current=6")
+    assert behind.gain > stuck.gain and behind.effect.values["current"] == pytest.approx(0.6, rel=0.01)
+
+
+def test_one_that_fits_no_better_than_none_there_does_not():
+    stuck, behind = beside_four("voltage_offset:joint=1,voltage=1e-6", "current_limit:joint=1,current=6")
+    assert behind is stuck
 
 
 def held(base, name, **values):

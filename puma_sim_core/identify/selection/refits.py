@@ -14,7 +14,7 @@ from puma_sim_core.effects import Effect, Kind
 from puma_sim_core.effects.base import Parameter, Role
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit, bounded
-from puma_sim_core.identify.fitting.trials import Trial, Trials
+from puma_sim_core.identify.fitting.trials import Trial, Trials, unseen
 from puma_sim_core.identify.parallel import parallel_map
 from puma_sim_core.identify.selection.state import SelectionState
 from puma_sim_core.identify.settings import FITTING, SELECTION
@@ -76,7 +76,8 @@ class Refits:
 
         So do those of which the screening saw most, of the trials that gain less than it saw: the best by their gain
         may all be the model without their effect at other parameters, and no fit about stretched ones keeps what is
-        seen of an effect that these took up.
+        seen of an effect that these took up. And so do those without a screening, such as a limit, that fit better than
+        none at the nominal parameters.
         """
         if not state.model.point.stretched(self.predictor.mechanism):
             return state
@@ -87,6 +88,7 @@ class Refits:
         behind = (t for t in possible if t not in best and t.gain < t.scored.gain > seen)
         best += sorted(behind, key=lambda t: -t.scored.gain)[: SELECTION.most_polished]
         fit, start = PredictionFit(self.predictor, state.noise), self.predictor.mechanism.start
+        best += self._seen_at_nominal(fit, [t for t in possible if t not in best])
 
         def again(trial: Trial) -> Trial:
             # derivatives of two masses take long
@@ -104,6 +106,19 @@ class Refits:
             return max(trial, self.trials.judged(fit, state.model, trial.scored, found), key=lambda t: t.gain)
 
         return _with_trials(state, again)
+
+    def _seen_at_nominal(self, fit: PredictionFit, trials: list[Trial]) -> list[Trial]:
+        """Of trials that no screening saw, the best of those that fit better than none at the nominal parameters."""
+        start, found = self.predictor.mechanism.start, list[tuple[float, Trial]]()
+        for trial in trials:
+            if not unseen(trial.scored):
+                continue
+            effects = trial.model.point.effects
+            best = fit.lowest_of(self.trials.sized(Point(start, effects), trial.scored))
+            none = fit.lowest_of([Point(start, effects[:-1])])
+            if best is not None and (none is None or best[1] < none[1] - SELECTION.least_gain):
+                found.append((best[1], trial))
+        return [trial for _, trial in sorted(found, key=lambda each: each[0])[: SELECTION.most_polished]]
 
     def from_levels(self, state: SelectionState) -> SelectionState:
         """Trials of what all but every drive has that gain less than a name needs start from the levels that machines

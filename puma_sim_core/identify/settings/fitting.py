@@ -105,6 +105,10 @@ class Fitting:
     #: gain [nat] of new derivatives that ends a fit, and how often: an unfinished base lends its gain to trials
     finished: float = 2.0
     relinearisations: int = 2
+    #: share of the objective that one which is far from its end still falls by, and how often derivatives are taken of
+    #: such a one: with a limit that is missing or wrong by half it falls by a factor of three and more each time
+    falling: float = 0.1
+    relinearisations_far: int = 10
     finished_final: float = 0.5  #: the same of the final model
     relinearisations_final: int = 4  #: and how often
 
