@@ -44,7 +44,7 @@ def test_a_fit_that_is_worse_than_none_goes_on_from_every_start():
 @pytest.mark.parametrize(
     "path, ends",
     [
-        # as a limit of the current was fitted from 1.3 A where it is 0.6 A: each time the objective falls by a share
+        # far from its end, as where a limit starts at twice its value: it falls by a tenth or more each time
         ([3021e3, 481e3, 175e3, 150e3, 18e3, 17769.0, 17768.5, 17768.4], 5),
         # near its end a fit has the derivatives that it was given, and no more
         ([17900.0, 17800.0, 17780.0, 17770.0, 17768.0], 2),
