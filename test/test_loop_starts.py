@@ -59,8 +59,10 @@ def test_a_fit_that_falls_by_a_share_of_itself_is_not_at_its_end(path, ends):
     fit = PredictionFit.__new__(PredictionFit)
     fit.derivatives = lambda point, pairs, near=None: point
     fit.linear = lambda point, pairs, raw: SimpleNamespace(point=None, objective=path[next(at)])
-    found, _ = fit.to_end(None, ())
+    found, _ = fit.to_end(None, (), patient=True)
     assert found.objective == path[ends]
+    at = iter(range(len(path)))
+    assert fit.to_end(None, ())[0].objective == path[min(ends, FITTING.relinearisations)]
 
 
 def beside_four(true, unseen):

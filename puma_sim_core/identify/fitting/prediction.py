@@ -284,17 +284,18 @@ class PredictionFit:
         gain: float = FITTING.finished,
         times: int = FITTING.relinearisations,
         near: Floats | None = None,
+        patient: bool = False,
     ) -> tuple[Fitted, Floats]:
         """Fit until new derivatives gain less than `gain` [nat]: the model, and derivatives (N, J, p + c) near it.
 
-        raw : derivatives before whitening to begin with; near : about a model near by; times : that they are taken,
-        and more often as long as the objective falls by a share of itself: such a fit is far from its end.
+        raw : derivatives before whitening to begin with; near : about a model near by; times : that they are taken;
+        patient : more often as long as the objective falls by a share of itself: such a fit is far from its end.
         Raises ParameterError where a start cannot be run along the log.
         """
         if raw is None:
             raw = self.derivatives(point, pairs, near)
         fitted = self.linear(point, pairs, raw)
-        for number in range(1, FITTING.relinearisations_far + 1):
+        for number in range(1, (FITTING.relinearisations_far if patient else times) + 1):
             before = fitted.objective
             raw = self.derivatives(fitted.point, pairs, raw)
             fitted = self.linear(fitted.point, pairs, raw)

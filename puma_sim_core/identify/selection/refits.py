@@ -100,7 +100,7 @@ class Refits:
             if at is None:
                 return trial
             try:
-                found, _ = fit.to_end(at, trial.model.names)
+                found, _ = fit.to_end(at, trial.model.names, patient=True)
             except ParameterError:
                 return trial
             return max(trial, self.trials.judged(fit, state.model, trial.scored, found), key=lambda t: t.gain)
