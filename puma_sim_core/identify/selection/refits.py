@@ -110,12 +110,11 @@ class Refits:
     def _seen_at_nominal(self, fit: PredictionFit, trials: list[Trial]) -> list[Trial]:
         """Of trials that no screening saw, the best of those that fit better than none at the nominal parameters."""
         start, found = self.predictor.mechanism.start, list[tuple[float, Trial]]()
-        for trial in trials:
-            if not unseen(trial.scored):
-                continue
-            effects = trial.model.point.effects
-            best = fit.lowest_of(self.trials.sized(Point(start, effects), trial.scored))
-            none = fit.lowest_of([Point(start, effects[:-1])])
+        # derivatives of two masses take long
+        tried = [t for t in trials if unseen(t.scored) and not t.model.point.two_mass]
+        none = fit.lowest_of(Point(start, t.model.point.effects[:-1]) for t in tried[:1])
+        for trial in tried:
+            best = fit.lowest_of(self.trials.sized(Point(start, trial.model.point.effects), trial.scored))
             if best is not None and (none is None or best[1] < none[1] - SELECTION.least_gain):
                 found.append((best[1], trial))
         return [trial for _, trial in sorted(found, key=lambda each: each[0])[: SELECTION.most_polished]]
