@@ -31,6 +31,8 @@ RIGS_ARGS ?=
 # and libraries, nor a middleware that the wheels do not have. ROS_DOMAIN_ID stays the user's.
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE VIRTUAL_ENV PIP_USER PIP_TARGET PIP_PREFIX
+# where nothing that is imported may be kept as bytecode, each of some hundred processes compiles all of it again
+unexport PYTHONDONTWRITEBYTECODE
 FOREIGN := $(filter ROS_% RMW_% RCUTILS_% FASTRTPS_% FASTDDS_% CYCLONEDDS_%,$(.VARIABLES))
 $(foreach name,$(filter-out ROS_DOMAIN_ID,$(FOREIGN)),$(eval unexport $(name)))
 # where ROS looks for what the wheels installed
