@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.data.sampling import sample
-from puma_sim_core.identify.fitting.predictor import stable_step
+from puma_sim_core.identify.fitting.predictor import parts_of_steps, stable_step
 from puma_sim_core.identify.noise.innovations import weighting
 from puma_sim_core.identify.noise.open_loop import (
     RowNoise,
@@ -33,6 +33,7 @@ from puma_sim_core.identify.selection.validate import rms
 from puma_sim_core.identify.settings import SELECTION
 from puma_sim_core.plant.mechanism_file import load_mechanism
 from puma_sim_core.simulation.simulator import Simulator
+from puma_sim_core.simulation.tracking import innovations
 
 pytestmark = pytest.mark.long
 
@@ -105,22 +106,31 @@ def test_instants_at_which_a_current_is_limited_are_resolved():
     arm, usual = load_mechanism(), 1.2e-3
     lag = max(m.inductance / m.resistance for m in arm.plant().arm.motors)
     limited = arm.plant(arm.start, (parse_effect("current_limit:joint=2,current=1.2"),))
-    step = stable_step(limited, usual)
-    assert stable_step(arm.plant(), usual) == usual > 0.12 * lag >= step
+    parts = parts_of_steps(limited, usual)
+    assert parts_of_steps(arm.plant(), usual) == 1 and usual > 0.12 * lag >= usual / parts
     # models side by side, whose parameters differ by little, take the same steps
     beside = arm.plant(arm.start + 0.01 * arm.deviations, limited.effects[-1:])
-    assert stable_step(beside, usual) == step
+    assert parts_of_steps(beside, usual) == parts
     time = np.arange(0.0, 3.0, usual)
     volts = np.where(np.mod(time, 0.5) < 0.25, 30.0, -30.0)[:, None] * [0.0, 1.0, 0.0]
+    still = np.zeros_like(volts)
 
-    def positions(step):
-        simulator = Simulator(limited, max_step=step)
+    def positions(plant, step, parts):
+        """In open loop: errors beside a joint that rests are the positions."""
+        simulator = Simulator(plant, max_step=step)
         simulator.reset([0.0, -1.2, 1.0])
-        return simulator.run(time, volts).position
+        never = np.zeros(len(time) - 1, dtype=bool)
+        return -innovations(simulator, time, volts, still, np.zeros((3, 3)), None, never, parts).innovation
 
-    exact = positions(2e-5)
-    error, unresolved = (np.abs(positions(each) - exact).max() for each in (step, usual))
-    assert error < 0.1 * unresolved
+    exact = positions(limited, 2e-5, 1)
+    error, unresolved, fine = (
+        np.abs(positions(limited, *steps) - exact).max() for steps in ((usual, parts), (usual, 1), (usual / parts, 1))
+    )
+    # the rows in which no current meets its limit need no finer steps
+    assert error < 0.1 * unresolved and abs(error - fine) < 0.02 * unresolved
+    # and where it is never met none are taken
+    never = arm.plant(arm.start, (parse_effect("current_limit:joint=2,current=1000"),))
+    assert np.array_equal(positions(never, usual, parts), positions(arm.plant(), usual, 1))
 
 
 def test_a_winding_that_a_fit_makes_fast_costs_no_more_than_its_stability():
@@ -128,8 +138,7 @@ def test_a_winding_that_a_fit_makes_fast_costs_no_more_than_its_stability():
     plant = arm.plant(arm.start, (parse_effect("current_limit:joint=2,current=1.2"),))
     motors = [replace(motor, inductance=1e-4 * motor.inductance) for motor in plant.arm.motors]
     fast = replace(plant, arm=replace(plant.arm, motors=tuple(motors)))
-    bare = replace(fast, effects=())
-    assert stable_step(fast, 1.2e-3) == stable_step(bare, 1.2e-3) < 1e-5
+    assert stable_step(fast, 1.2e-3) < 1e-5 and parts_of_steps(fast, 1.2e-3) == 1
 
 
 def test_windows_know_where_in_its_play_a_gear_is():

@@ -14,7 +14,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from puma_sim_core.dynamics.lanes import LANES
-from puma_sim_core.effects import parse_effect
+from puma_sim_core.effects import Effect, parse_effect
 from puma_sim_core.executors import one_thread_of_algebra
 from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
@@ -39,27 +39,35 @@ def measured() -> np.ndarray:
     return simulator.run(TIME, VOLTS).position
 
 
-def started(count: int) -> list[Simulator]:
+#: effects on the voltages: a dead band, and a limit that is met
+ON_VOLTAGE = (
+    parse_effect("voltage_dead_band:joint=1,voltage=0.5"),
+    parse_effect("voltage_saturation:joint=2,voltage=4"),
+)
+
+
+def started(count: int, effects: tuple[Effect, ...] = ()) -> list[Simulator]:
     """Simulators of as many different arms."""
     found = []
     for n in range(count):
-        found.append(Simulator(ARM.plant(ARM.start * (1.0 + 0.003 * n))))
+        found.append(Simulator(ARM.plant(ARM.start * (1.0 + 0.003 * n), effects)))
         found[-1].reset((0.1, -0.9 - 0.01 * n, 1.1), (0.0, 0.1, 0.0), (0.2, 0.0, -0.1))
     return found
 
 
 def digest() -> str:
     """Of the innovations of five models side by side."""
-    found = innovations_side_by_side(started(5), TIME, VOLTS, measured(), GAIN)
+    found = innovations_side_by_side(started(5, ON_VOLTAGE), TIME, VOLTS, measured(), GAIN)
     return hashlib.sha256(np.array(found).tobytes()).hexdigest()
 
 
+@pytest.mark.parametrize("effects", [(), ON_VOLTAGE])
 @pytest.mark.parametrize("count", [1, 3, LANES])
-def test_each_model_has_the_innovations_that_it_has_alone(count):
+def test_each_model_has_the_innovations_that_it_has_alone(count, effects):
     positions = measured()
-    side_by_side = innovations_side_by_side(started(count), TIME, VOLTS, positions, GAIN)
+    side_by_side = innovations_side_by_side(started(count, effects), TIME, VOLTS, positions, GAIN)
     assert len(side_by_side) == count
-    for simulator, found in zip(started(count), side_by_side):
+    for simulator, found in zip(started(count, effects), side_by_side):
         alone = innovations(simulator, TIME, VOLTS, positions, GAIN).innovation
         assert np.abs(alone).max() > 1e-5
         np.testing.assert_allclose(found, alone, rtol=0.0, atol=1e-14)
@@ -84,12 +92,20 @@ def test_both_kernels_give_the_same_bits():
     [
         ("payload:mass=1", True),
         ("coulomb_friction:joint=2,torque=3", False),
-        ("voltage_dead_band:joint=1,voltage=0.5", False),
+        ("voltage_dead_band:joint=1,voltage=0.5", True),
         ("joint_elasticity:joint=2,stiffness=20000", False),
     ],
 )
 def test_only_models_without_a_stage_of_their_own_go_side_by_side(text, goes):
-    assert goes_side_by_side(ARM.plant(ARM.start, (parse_effect(text),))) is goes
+    first, other = (ARM.plant(ARM.start * share, (parse_effect(text),)) for share in (1.0, 1.01))
+    assert goes_side_by_side(first, first) is goes_side_by_side(other, first) is goes
+
+
+def test_models_side_by_side_have_the_same_effects_on_the_voltages():
+    texts = ("voltage_offset:joint=1,voltage=0.5", "voltage_offset:joint=1,voltage=0.6")
+    first, other, bare = (ARM.plant(ARM.start, effects) for effects in (*((parse_effect(t),) for t in texts), ()))
+    assert goes_side_by_side(first, first)
+    assert not goes_side_by_side(other, first) and not goes_side_by_side(bare, first)
 
 
 def test_a_model_that_does_not_stay_finite_leaves_the_others_as_they_are():

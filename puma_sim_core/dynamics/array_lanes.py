@@ -13,6 +13,7 @@ import numpy as np
 from puma_sim_core.dynamics.lanes import build_trigonometry
 from puma_sim_core.dynamics.laws import UNBENT
 from puma_sim_core.dynamics.rigid import build_arm
+from puma_sim_core.dynamics.runs import terminals
 from puma_sim_core.dynamics.types import FREE, NO_SLIP, Model, Rows
 from puma_sim_core.jit import Table
 
@@ -29,8 +30,9 @@ def follow_arrays(numbers: np.ndarray, rows: Rows, measured: Any, corrected: Any
     model = Model(tuple(numbers[12:32]), tuple(numbers[32:47]), 0)
     out = np.empty((numbers.shape[1], len(rows.count), 3))
     for r, count in enumerate(rows.count):
+        v = terminals(rows.voltage, r, p)
         for _ in range(count):
-            x, _ = array_step(x, UNBENT, rows.voltage[r], rows.step[r], model, p, FREE, NO_SLIP)
+            x, _ = array_step(x, UNBENT, v, rows.step[r], model, p, FREE, NO_SLIP)
         e = [measured[r][j] - x[j] for j in range(3)]
         out[:, r] = np.transpose(e)
         if corrected[r]:

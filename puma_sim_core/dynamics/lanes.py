@@ -14,6 +14,7 @@ from typing import Any
 
 from puma_sim_core.dynamics.laws import UNBENT
 from puma_sim_core.dynamics.rigid import build_arm
+from puma_sim_core.dynamics.runs import terminal_voltage
 from puma_sim_core.dynamics.types import FREE, NO_SLIP, Model, Rows
 from puma_sim_core.jit import Table, Vec, compiled, inlined, written
 
@@ -120,13 +121,15 @@ def run_lanes(a: Table, volts: Table, which: Table, counts: Table, steps: Table,
 def follow_lanes(a: Table, rows: Rows, measured: Table, corrected: Table, gain: Table, p: Table, out: Table) -> None:
     """One group of LANES runs that follow a measured motion (`simulation.tracking`), without effects or constraints.
 
-    a : as `run_lanes`, moved on; rows : terminal voltages and steps; measured (n, 3) [rad], at the ends of the rows;
-    corrected (n,), gain (9,) as for `tracking.Track`; out (LANES, n, 3): the innovations [rad].
+    a : as `run_lanes`, moved on; rows : commanded voltages and steps; measured (n, 3) [rad], at the ends of the rows;
+    corrected (n,), gain (9,) as for `tracking.Track`; p : the table of the effects on the voltages, the same in all
+    lanes; out (LANES, n, 3): the innovations [rad].
     """
     for r in range(len(rows.count)):
-        for m in range(LANES):
-            for k in range(3):
-                a[(9 + k) * LANES + m] = rows.voltage[r][k]
+        for k in range(3):
+            v = terminal_voltage(k, rows.voltage[r][k], p)
+            for m in range(LANES):
+                a[(9 + k) * LANES + m] = v
         for _ in range(rows.count[r]):
             step_lanes(a, rows.step[r], p)
         for j in range(3):

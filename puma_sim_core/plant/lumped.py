@@ -9,6 +9,7 @@ those that are held at rest.
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -105,11 +106,16 @@ class LumpedMechanism(Mechanism):
     def inertia(self, theta: ArrayLike | None, q: ArrayLike) -> np.ndarray:
         return np.diagonal(self.inertia_matrix(theta, q), axis1=1, axis2=2)
 
-    def inertia_matrix(self, theta: ArrayLike | None, q: ArrayLike) -> np.ndarray:
+    def inertia_matrices(self, q: ArrayLike) -> Callable[[ArrayLike | None], np.ndarray]:
         still = np.zeros(np.shape(q))
-        weight = self.lumps(theta)
-        weight[-4:] = 0.0
-        return np.stack([self._table(q, still, still + unit) @ weight for unit in np.eye(self.joints)], axis=-1)
+        tables = [self._table(q, still, still + unit) for unit in np.eye(self.joints)]
+
+        def matrices(theta: ArrayLike | None) -> np.ndarray:
+            weight = self.lumps(theta)
+            weight[-4:] = 0.0
+            return np.stack([table @ weight for table in tables], axis=-1)
+
+        return matrices
 
     def gravity_tilt(self, theta: ArrayLike | None, q: ArrayLike) -> np.ndarray | None:
         """See `Mechanism.gravity_tilt`: per rad, gravity points along (x, y, -1) of the base.

@@ -186,9 +186,13 @@ class Mechanism(ABC):
     def inertia(self, theta: ArrayLike | None, q: ArrayLike) -> np.ndarray:
         """(n, J) diagonal of D."""
 
-    @abstractmethod
     def inertia_matrix(self, theta: ArrayLike | None, q: ArrayLike) -> np.ndarray:
         """(n, J, J) D of the links."""
+        return self.inertia_matrices(q)(theta)
+
+    @abstractmethod
+    def inertia_matrices(self, q: ArrayLike) -> Callable[[ArrayLike | None], np.ndarray]:
+        """theta -> `inertia_matrix` at the same positions: what of it does not depend on theta is made once."""
 
     def gravity_tilt(self, theta: ArrayLike | None, q: ArrayLike) -> np.ndarray | None:
         """(n, J, 2) change of G per rad of tilt of the base about x and y, or None."""

@@ -8,7 +8,7 @@ on, each with its range, its torque scale, a drive on torque or current or none,
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
@@ -71,7 +71,7 @@ class TransmissionMechanism(Mechanism):
     def inertia(self, theta: ArrayLike | None, q: ArrayLike) -> np.ndarray:
         self._nothing()
 
-    def inertia_matrix(self, theta: ArrayLike | None, q: ArrayLike) -> np.ndarray:
+    def inertia_matrices(self, q: ArrayLike) -> Callable[[ArrayLike | None], np.ndarray]:
         self._nothing()
 
     def link_jacobian(self, theta: ArrayLike | None, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 
 from puma_sim_core.dynamics.array_lanes import follow_arrays
 from puma_sim_core.dynamics.lanes import LANE_NUMBERS, LANES, follow_lanes
-from puma_sim_core.effects.base import VOLTAGE
+from puma_sim_core.effects.base import VOLTAGE, Effect
 from puma_sim_core.jit import BACKEND
 from puma_sim_core.plant.plant import Plant
 from puma_sim_core.simulation.run_inputs import kernel_rows, native, rows_of
@@ -21,11 +21,14 @@ from puma_sim_core.simulation.simulator import Simulator
 TOGETHER = LANES if BACKEND == "numba" else 1024
 
 
-def goes_side_by_side(plant: Plant) -> bool:
-    """Whether a plant may be one of those of `innovations_side_by_side`: an arm without constraints, or effects that
-    need a stage of the kernel or change a voltage."""
-    acting = any(effect.kind.acts == VOLTAGE for effect in plant.effects)
-    return plant.joints == 3 and plant.constants.active == 0 and not acting
+def goes_side_by_side(plant: Plant, first: Plant) -> bool:
+    """Whether a plant may be one of those of `innovations_side_by_side` beside the first: an arm without constraints or
+    effects that need a stage of the kernel, with the same effects on the voltages."""
+    return plant.joints == 3 and plant.constants.active == 0 and _on_voltage(plant) == _on_voltage(first)
+
+
+def _on_voltage(plant: Plant) -> tuple[Effect, ...]:
+    return tuple(effect for effect in plant.effects if effect.kind.acts == VOLTAGE)
 
 
 def innovations_side_by_side(

@@ -50,13 +50,25 @@ class Track(NamedTuple):
 
     on (k, 3) : 0.0 where a drive is cut off; target (k) : row of `out` whose first three numbers are the positions
     measured at the end of the row, -1 where none are; corrected : for each row of `out`, whether its innovation moves
-    the state; gain : nine numbers, joint by joint for position, velocity and current.
+    the state; gain : nine numbers, joint by joint for position, velocity and current; parts : of a step, in rows in
+    which a current meets its limit or leaves it.
     """
 
     on: Any
     target: Any
     corrected: Any
     gain: Any
+    parts: int
+
+
+@inlined
+def at_limit(x: Any, p: Any) -> bool:
+    """Whether a current of the state is held by its limit."""
+    return (
+        abs(x[6]) >= _HELD * current_bound(0, p)
+        or abs(x[7]) >= _HELD * current_bound(1, p)
+        or abs(x[8]) >= _HELD * current_bound(2, p)
+    )
 
 
 @inlined
@@ -100,7 +112,12 @@ def tracked_rows(
             b * terminal_voltage(1, rows.voltage[r][1], p),
             c * terminal_voltage(2, rows.voltage[r][2], p),
         )
-        state = advance(state, v, rows.time[r], rows.step[r], rows.count[r], now, p, lock)
+        before, parts = state, track.parts if active & CURRENT_LIMIT and at_limit(state.x, p) else 1
+        while True:
+            state = advance(before, v, rows.time[r], rows.step[r] / parts, rows.count[r] * parts, now, p, lock)
+            if parts == track.parts or not active & CURRENT_LIMIT or not at_limit(state.x, p):
+                break
+            parts = track.parts
         x, z, m = state
         if not is_finite(x):
             return r
@@ -181,13 +198,15 @@ def innovations(
     gain: ArrayLike,
     enable: ArrayLike | None = None,
     corrected: ArrayLike | None = None,
+    parts: int = 1,
 ) -> Tracked:
     """Innovations of a model from its present state on.
 
     simulator : at time[0], its state is used up; time (n,) [s]; voltage (n, J) [V], row r held until time[r + 1];
     measured (n, J) positions [rad]; gain (J, 3): of position [1], velocity [1/s] and current [A/rad] for an innovation
     of a joint; enable (n, J), 0 where a drive is off; corrected (n - 1,): whether the innovation of a row moves the
-    state, None: each does. Where it does not the model runs in open loop, and innovations are its errors.
+    state, None: each does. Where it does not the model runs in open loop, and innovations are its errors; parts : that
+    a step of integration is divided into where a current meets its limit or leaves it.
 
     Returns `Tracked`, at time[1:]. Raises ParameterError: shapes that do not go together; NonFiniteStateError: the
     state stopped being finite.
@@ -218,8 +237,10 @@ def innovations(
     gains = native(plant.spread(gain.T).T.ravel().tolist())
     run = _tracked_trains if active & TWO_MASS else _tracked
     rows = kernel_rows(volts, edges, np.diff(edges), simulator.max_step)
-    track = Track(rows_of(on), rows_of(target), rows_of(corrected), gains)
+    track = Track(rows_of(on), rows_of(target), rows_of(corrected), gains, parts)
     bad = run(simulator.whole, rows, track, simulator.constants, simulator.lock, out)
     if bad >= 0 or not np.isfinite(out).all():
         raise NonFiniteStateError(int(bad))
-    return Tracked(*(out[:, first + axes] for first in (0, 3, 6)))
+    # of a whole arm without a copy
+    own = [slice(first, first + 3) if J == 3 else first + axes for first in (0, 3, 6)]
+    return Tracked(*(out[:, columns] for columns in own))

@@ -108,7 +108,9 @@ class Predictor:
         self.gain = self._gain(models, noise)
         far = FITTING.farthest_pose
         low, high = np.array([[max(a, -far), min(b, far)] for a, b in mechanism.ranges]).T
-        self.poses = low + (high - low) * np.random.default_rng(0).random((FITTING.poses, len(low)))
+        poses = low + (high - low) * np.random.default_rng(0).random((FITTING.poses, len(low)))
+        #: parameters -> inertia matrices of the links throughout the ranges
+        self.matrices = mechanism.inertia_matrices(poses)
         self.inertia_at_start = self._least_inertia(mechanism.start)
         self.least = FITTING.least_row_noise * scale
         #: volts (J,) of the nominal friction scale
@@ -140,7 +142,7 @@ class Predictor:
 
     def _least_inertia(self, theta: Floats) -> float:
         """Least eigenvalue of the inertia matrix with the motors' [kg m^2 or kg]."""
-        D = self.mechanism.inertia_matrix(theta, self.poses) + np.diag(self.mechanism.drive(theta).motor_inertia)
+        D = self.matrices(theta) + np.diag(self.mechanism.drive(theta).motor_inertia)
         return float(np.linalg.eigvalsh(D).min())
 
     def _stretch(self, log: Log, chosen: RowChoice) -> Stretch:
@@ -216,11 +218,12 @@ class Predictor:
         return self._tracked(plant, corrected, self.greatest_step)
 
     def _tracked(self, plant: Plant, corrected: Sequence[Bools] | None, step: float) -> list[Tracked]:
-        parts = []
+        out = []
         for number, s in enumerate(self.stretches):
             own, simulator = None if corrected is None else corrected[number], _started(plant, s, step)
-            parts.append(innovations(simulator, s.time, s.voltage, s.position, self.gain, s.enable, own))
-        return parts
+            finer = parts_of_steps(plant, step)
+            out.append(innovations(simulator, s.time, s.voltage, s.position, self.gain, s.enable, own, finer))
+        return out
 
     def errors_of(self, plants: Iterable[Plant]) -> list[Floats | None] | None:
         """`errors` of several plants at once, but for the last bits; None for one whose state is not finite.
@@ -231,9 +234,9 @@ class Predictor:
             return None
         kept = list[Plant]()
         for plant in plants:
-            if not goes_side_by_side(plant):
-                return None
             kept.append(plant)
+            if not goes_side_by_side(plant, kept[0]):
+                return None
         started = [[_started(plant, s, self.greatest_step) for plant in kept] for s in self.stretches]
         if len({simulator.max_step for simulator in started[0]}) != 1:
             return None
@@ -428,13 +431,25 @@ def _response(F: Floats, G: Floats, C: Floats, gain: Floats) -> Floats:
 
 
 def stable_step(plant: Plant, at_most: float) -> float:
-    """Step of integration [s] at which a plant's windings are stable, since a fit may make them fast, and one that
-    resolves the instants at which a law switches their current."""
-    motors = [(j, plant.arm.motors[axis]) for j, axis in enumerate(plant.axes, start=1)]
-    lags = {j: m.inductance / m.resistance for j, m in motors if m.inductance > 0.0}
-    stable = min([at_most, *(FITTING.greatest_step_lags * lag for lag in lags.values())])
+    """Step of integration [s] at which a plant's windings are stable, since a fit may make them fast."""
+    return min([at_most, *(FITTING.greatest_step_lags * lag for lag in _lags(plant).values())])
+
+
+def parts_of_steps(plant: Plant, at_most: float) -> int:
+    """Parts of a step of integration that resolve the instants at which a law switches a current; 1 where none does.
+
+    Those of a power of two: models side by side, whose parameters differ by little, take the same steps.
+    """
     switched = {e.joint for e in plant.effects if any(law.point is Place.CURRENT_RATE for law in e.kind.laws)}
-    resolved = min((FITTING.switched_step_lags * lag for j, lag in lags.items() if j in switched), default=at_most)
-    # halves of it: models side by side, whose parameters differ by little, take the same steps
-    halves = min(ceil(log2(at_most / resolved)), FITTING.switched_halves) if at_most > resolved else 0
-    return min(stable, at_most * 0.5**halves)
+    own = (lag for joint, lag in _lags(plant).items() if joint in switched)
+    resolved = min((FITTING.switched_step_lags * lag for lag in own), default=at_most)
+    if at_most <= resolved:
+        return 1
+    finest = at_most * 0.5 ** min(ceil(log2(at_most / resolved)), FITTING.switched_halves)
+    return max(1, ceil(stable_step(plant, at_most) / finest))
+
+
+def _lags(plant: Plant) -> dict[int, float]:
+    """Time constants [s] of the windings that have an inductance, by joint."""
+    motors = ((joint, plant.arm.motors[axis]) for joint, axis in enumerate(plant.axes, start=1))
+    return {joint: m.inductance / m.resistance for joint, m in motors if m.inductance > 0.0}

@@ -24,9 +24,9 @@ class Fitting:
     step_error: float = 1e-4
     #: greatest step in time constants of a winding: RK4 is stable up to 2.78
     greatest_step_lags: float = 2.0
-    #: and where a law switches its current: an instant within a step has an error of its square. On a current limit of
-    #: 570 times the noise, in 1.4, 0.3 and 0.06 % of the innovations at 0.31, 0.16 and 0.08 of 3 ms; over 10000 rows
-    #: that is 1.4, 0.3 and 0.06 standard deviations of a parameter (development record 2670)
+    #: and in rows in which a law switches its current: an instant within a step has an error of its square. On a
+    #: current limit of 570 times the noise, in 1.4, 0.3 and 0.06 % of the innovations at 0.31, 0.16 and 0.08 of 3 ms;
+    #: over 10000 rows that is 1.4, 0.3 and 0.06 standard deviations of a parameter (development record 2670)
     switched_step_lags: float = 0.12
     switched_halves: int = 3  #: of the step at most: a fit may make a winding as fast as it likes
     #: share of an error that the predictor has left after the settling time, and least noise of a row's voltage that
@@ -101,6 +101,8 @@ class Fitting:
     dampings: tuple[float, ...] = (0.1, 1.0, 10.0, 100.0)
     rounds: int = 4  #: rounds of a fit
     least_round_gain: float = 0.1  #: gain [nat] below which a round is the last
+    #: gain [nat] by the derivatives below which no step is tried: one of a 22nd of a standard error, sqrt(2 gain)
+    least_promise: float = 1e-3
     rounds_from_start: int = 6  #: rounds of a fit from the start values
     #: gain [nat] of new derivatives that ends a fit, and how often: an unfinished base lends its gain to trials
     finished: float = 2.0
