@@ -258,8 +258,11 @@ class PredictionFit:
                 columns = np.stack([self._by_effect(point, raw, *pair) for pair in own], axis=2)
                 slopes = jacobian.beside(self.whitened(columns))
             assert slopes is not None
+            step, promised = self._step(slopes, point, errors, pairs)
+            if promised < FITTING.least_promise:
+                break
             gained = 0.0
-            for moved, trial in self._tried(slopes, point, errors, pairs):
+            for moved, trial in self._tried(slopes, step, point, errors, pairs):
                 objective = self.objective(trial, moved)
                 if objective < best:
                     gained = best - objective
@@ -313,34 +316,38 @@ class PredictionFit:
             raise _cannot_be_run()
         return self.from_start(fitted, jacobian)
 
-    def _step(self, slopes: Slopes, point: Point, errors: Floats, pairs: Pairs, damping: float = 0.0) -> Floats:
-        """(p + c,) the step of Gauss and Newton from a model, with a share of the curvature's diagonal added to it
-        (Marquardt 1963, J. SIAM 11:431)."""
+    def _step(
+        self, slopes: Slopes, point: Point, errors: Floats, pairs: Pairs, damping: float = 0.0
+    ) -> tuple[Floats, float]:
+        """The step (p + c,) of Gauss and Newton from a model, with a share of the curvature's diagonal added to it
+        (Marquardt 1963, J. SIAM 11:431), and what the objective falls by along it if it is quadratic [nat]."""
         m, p = self.mechanism, len(self.mechanism.deviations)
         slope, precision = self.prior(point, pairs)
         normal = slopes.normal + np.diag(np.concatenate([np.ones(p), precision]))
         position = (point.theta - m.start) / m.deviations
         gradient = slopes.gradient(errors[self.rows]) + np.concatenate([position, slope])
-        return bounded_step(normal + damping * np.diag(np.diag(normal)), gradient, p)
+        step = bounded_step(normal + damping * np.diag(np.diag(normal)), gradient, p)
+        return step, -float(gradient @ step + 0.5 * step @ normal @ step)
 
-    def _tried(self, slopes: Slopes, point: Point, errors: Floats, pairs: Pairs) -> Iterator[tuple[Point, Floats]]:
+    def _tried(
+        self, slopes: Slopes, step: Floats, point: Point, errors: Floats, pairs: Pairs
+    ) -> Iterator[tuple[Point, Floats]]:
         """(model, its errors) that can be run: a whole step, one more from there, for curved valleys, and parts.
 
         Dry friction holds a joint in some rows, where no slope tells of the next row that it does not: with it the best
         of parts and of damped steps follows, which turn to where each parameter goes alone.
         """
-        step = self._step(slopes, point, errors, pairs)
         whole = self._moved(point, step, pairs)
         if whole is not None:
             yield whole
-            back = self._moved(whole[0], self._step(slopes, *whole, pairs), pairs)
+            back = self._moved(whole[0], self._step(slopes, *whole, pairs)[0], pairs)
             if back is not None:
                 yield back
         parts = (self._moved(point, share * step, pairs) for share in FITTING.step_shares)
         if not any(effect.kind.dry for effect in point.effects):
             yield from (part for part in parts if part is not None)
             return
-        damped = (self._step(slopes, point, errors, pairs, damping) for damping in FITTING.dampings)
+        damped = (self._step(slopes, point, errors, pairs, damping)[0] for damping in FITTING.dampings)
         shorter = [part for part in (*parts, *(self._moved(point, each, pairs) for each in damped)) if part is not None]
         if shorter:
             yield min(shorter, key=lambda part: self.objective(part[1], part[0]))
