@@ -72,6 +72,32 @@ def test_a_rival_is_tried_in_the_form_that_suits_what_was_found_later():
     assert left.chosen[1].gain + left.chosen[1].occam == pytest.approx(gained, abs=FITTING.finished)
 
 
+def test_the_gain_beside_another_effect_is_that_of_the_fits_with_and_without():
+    """An offset that the log has, and a spring that it has not."""
+    friction, offset = (
+        parse_effect("coulomb_friction:joint=1,torque=0.03"),
+        parse_effect("voltage_offset:joint=1,voltage=0.01"),
+    )
+    plant = PENDULUM.plant(effects=(friction, offset))
+    problem, _, predictor = pieces(PENDULUM, record(PENDULUM, plant, volts=NOISE, noise=1e-5), NOISE, 1e-5)
+    fit = PredictionFit(predictor, predictor.unfiltered_weighting(predictor.errors(plant)))
+    spring, occam = parse_effect("joint_spring:joint=1,stiffness=1e-3,angle=0"), 3.0
+    for effect, asked in ((offset, True), (spring, False)):
+        effects = (friction, offset) if asked else (friction, offset, spring)
+        pairs = tuple((n, name) for n, e in enumerate(effects) for name in e.values)
+        model, _ = fit.to_end(Point(PENDULUM.start, effects), pairs)
+        made = [Trial(Scored(e.kind.name, 1, 100.0, values=dict(e.values)), 50.0, 50.0, model, occam) for e in effects]
+        stages = tuple(Stage((each,), Threshold.alike(16.0), model, each) for each in made)
+        chosen = tuple(Chosen.of(each, stages) for each in made)
+        state = SelectionState(model, None, fit.weighting, chosen, stages)
+        gain = Elimination(Trials(predictor, problem), KINDS).gain_beside(state, (effect.kind.name, 1))
+        if not asked:
+            assert gain is None
+            continue
+        bare, _ = fit.to_end(Point(PENDULUM.start, (friction,)), ((0, "torque"),), times=8, gain=0.1)
+        assert gain > 100.0 and gain == pytest.approx(bare.objective - model.objective - occam, rel=0.05)
+
+
 def test_an_effect_that_ended_where_no_machine_has_it_is_withdrawn():
     """Seen on a lever that is lifted once: a spring was tried within the limit, and slack at -3.6 rad in the end."""
     base, trials, state = lacking(parse_effect("coulomb_friction:joint=1,torque=0.05"))

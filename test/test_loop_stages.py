@@ -1,9 +1,10 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
-"""The stages of a selection: what becomes of one whose effect came to values that no machine has."""
+"""The stages of a selection: what becomes of one whose effect came to values that no machine has, and pairs."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from puma_sim_core.identify.fitting.trials import Trial
 from puma_sim_core.identify.screening.evidence import Scored
 from puma_sim_core.identify.selection.selection import Selection
 from puma_sim_core.identify.selection.state import Chosen, SelectionState, Threshold
+from puma_sim_core.identify.settings import SELECTION
 
 STRIBECK, COULOMB, OFFSET = ("stribeck_friction", 1), ("coulomb_friction", 1), ("voltage_offset", 1)
 GAINS = {STRIBECK: 58.0, COULOMB: 46.0, OFFSET: 20.0}
@@ -90,3 +92,51 @@ def test_the_stage_of_an_effect_that_no_machine_has_is_made_again_without_it(wro
         (last,) = (t for t in ended.history[-1].trials if t.key == key)
         assert last.problem == WHY
     assert not {stage.accepted.key for stage in ended.history if stage.accepted} & set(wrong)
+
+
+class Pairs(Stages):
+    """Of two effects neither is asked for alone. least : gain of the better one alone; beside : what the first has
+    beside the second, None where the log does not ask for it."""
+
+    def __init__(self, wrong=(), least=12.0, beside=40.0):
+        super().__init__(wrong)
+        self.alone = {COULOMB: least, OFFSET: least - 1.0, STRIBECK: 3.0}
+        self.elimination = SimpleNamespace(gain_beside=lambda state, key: beside if len(state.keys) == 2 else None)
+
+    def try_all(self, state):
+        self.begun.append(state.keys)
+        gains = {COULOMB: 50.0, OFFSET: 50.0} if state.keys in ((COULOMB,), (OFFSET,)) else self.alone
+        left = [(key, gain) for key, gain in gains.items() if key not in state.keys]
+        tried = (Trial(Scored(*key, 0.0), gain, 10.0, model_of(state.chosen), 3.0) for key, gain in left)
+        return replace(state, trials=tuple(tried))
+
+
+@pytest.mark.parametrize(
+    "given, named, begun",
+    [
+        ({}, (COULOMB, OFFSET), [0, 1, 2]),
+        # the log must ask for the first one beside the second, by more than the first needed alone
+        ({"beside": None}, (), [0, 1]),
+        ({"beside": 15.0}, (), [0, 1]),
+        # what has less than two standard errors is not put into the model
+        ({"least": 7.5}, (), [0]),
+        # without the second one the first is not asked for: both are gone
+        ({"wrong": (OFFSET,)}, (), [0, 1, 2, 0, 1]),
+        ({"wrong": (COULOMB,)}, (), [0, 1, 2, 0, 1]),
+    ],
+)
+def test_of_a_pair_none_need_be_asked_for_alone(given, named, begun):
+    selection = Pairs(**given)
+    ended = selection.run(np.zeros(1))
+    assert ended.keys == named
+    assert [len(keys) for keys in selection.begun] == begun
+    accepted = [stage.accepted.key for stage in ended.history if stage.accepted]
+    assert tuple(accepted) == named and len(ended.history) == len(named) + 1
+    # the first one has the evidence that it has beside the second
+    assert [chosen.gain for chosen in ended.chosen] == [40.0, 50.0][: len(named)]
+
+
+def test_a_pair_needs_room_for_two(monkeypatch):
+    selection = Pairs()
+    monkeypatch.setattr("puma_sim_core.identify.selection.selection.SELECTION", replace(SELECTION, most_effects=1))
+    assert selection.run(np.zeros(1)).keys == () and selection.begun == [()]

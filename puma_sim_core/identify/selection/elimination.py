@@ -103,6 +103,15 @@ class Elimination:
             kept[number] = replace(chosen, gain=min(chosen.gain, gain))
         return replace(state, chosen=tuple(kept))
 
+    def gain_beside(self, state: SelectionState, key: Key) -> float | None:
+        """Gain of log evidence [nat] by an effect of the model beside the others, None where the log does not ask for
+        it."""
+        number = state.keys.index(key)
+        found = self._compared(state, number)
+        if found is None or not self._asked_for(state, state.chosen[number], found):
+            return None
+        return found.gain - state.chosen[number].occam
+
     def _compared(self, state: SelectionState, number: int) -> _Compared | None:
         """The model of a state with and without one of its effects; None where either cannot be fitted."""
         fit, point = PredictionFit(self.predictor, state.noise), state.model.point

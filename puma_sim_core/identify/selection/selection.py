@@ -60,7 +60,7 @@ class Selection:
         self.library = library
         self.progress = progress
         self.shifts = placebo_shifts(seed)
-        refits, elimination = Refits(trials, library), Elimination(trials, library)
+        refits, self.elimination = Refits(trials, library), Elimination(trials, library)
         #: one stage: what the log asks for beside the effects that are chosen already
         self.stage: tuple[Pass, ...] = (
             self.fit_model,
@@ -83,12 +83,12 @@ class Selection:
             self.decide,
         )
         #: after a stage that accepted an effect
-        self.addition: tuple[Pass, ...] = (self.add, elimination.eliminate)
+        self.addition: tuple[Pass, ...] = (self.add, self.elimination.eliminate)
         #: after the last stage
         self.conclusion: tuple[Pass, ...] = (
-            elimination.simplify,
-            elimination.confirm,
-            elimination.withdraw,
+            self.elimination.simplify,
+            self.elimination.confirm,
+            self.elimination.withdraw,
             self.finish,
         )
 
@@ -101,18 +101,49 @@ class Selection:
         state, before = self._start(theta), list[SelectionState]()
         while True:
             self.progress("fitting", 0.25 + 0.6 * len(state.chosen) / (SELECTION.most_effects + 1))
-            before.append(state)
+            stages, start = len(state.history), state
             state = _through(self.stage, state)
-            if state.history[-1].accepted is None or len(state.chosen) == SELECTION.most_effects:
-                ended = _through(self.conclusion, state)
-                wrong = dict(ended.barred[len(state.barred) :])
-                choices = [stage.accepted is not None and stage.accepted.key in wrong for stage in state.history]
-                if not any(choices):
-                    return ended
-                del before[choices.index(True) + 1 :]
-                state = replace(before.pop(), barred=ended.barred)
-            else:
-                state = _through(self.addition, state)
+            more = self._added(state)
+            before += [start] * (len((more or state).history) - stages)
+            if more is not None:
+                state = more
+                continue
+            ended = _through(self.conclusion, state)
+            wrong = dict(ended.barred[len(state.barred) :])
+            choices = [stage.accepted is not None and stage.accepted.key in wrong for stage in state.history]
+            if not any(choices):
+                return ended
+            state = replace(before[choices.index(True)], barred=ended.barred)
+            del before[len(state.history) :]
+
+    def _added(self, state: SelectionState) -> SelectionState | None:
+        """The state with what its last stage accepted, else with a pair; None without either."""
+        if len(state.chosen) == SELECTION.most_effects:
+            return None
+        return self._paired(state) if state.history[-1].accepted is None else _through(self.addition, state)
+
+    def _paired(self, state: SelectionState) -> SelectionState | None:
+        """The state with two more effects, of which its last stage accepted none: each is asked for beside the other.
+
+        The best trial of the stage is put into the model, and a stage is made beside it. What that accepts may show
+        that the first one is asked for as well.
+        """
+        last = state.history[-1]
+        first = next((t for t in last.trials if t.possible and t.gain > SELECTION.worth_pairing), None)
+        if first is None or len(state.chosen) > SELECTION.most_effects - 2:
+            return None
+        accepting = replace(last, accepted=first, unclear=last.unclear - {first.key})
+        ahead = self.add(replace(state, history=(*state.history[:-1], accepting)))
+        ahead = _through(self.stage, ahead)
+        if ahead.history[-1].accepted is None:
+            return None
+        both = _through(self.addition, ahead)
+        if first.key not in both.keys or len(both.chosen) < len(state.chosen) + 2:
+            return None
+        gain = self.elimination.gain_beside(both, first.key)
+        if gain is None or gain <= last.needed(first):
+            return None
+        return replace(both, chosen=tuple(replace(c, gain=gain) if c.key == first.key else c for c in both.chosen))
 
     def without(self, state: SelectionState, *keys: Key) -> SelectionState:
         """The selection less some effects, fitted again."""

@@ -35,6 +35,10 @@ class Selection:
     placebo_shifts: tuple[float, float] = (0.06, 0.94)  #: as shares of the record: far from no shift at all
     replacement_share: float = 0.4  #: of the best gain, where the best fails on the validation set [calibrated]
 
+    #: gain [nat] of the best trial of a stage that accepted none, from which on a stage is made beside it: two standard
+    #: errors of a true model. Of a pair none need be asked for alone
+    worth_pairing: float = 8.0
+
     # --- effects that contain one another
     replacement_gain: float = 3.0  #: gain [nat] that an effect must be better by than one that it replaces [calibrated]
     exact: float = 1e-4  #: share of a gain to which fits are exact at best: it counts in a log without noise
