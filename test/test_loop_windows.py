@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.data.sampling import sample
-from puma_sim_core.identify.fitting.predictor import parts_of_steps, stable_step
+from puma_sim_core.identify.fitting.steps import parts_of_steps, stable_step
 from puma_sim_core.identify.noise.innovations import weighting
 from puma_sim_core.identify.noise.open_loop import (
     RowNoise,

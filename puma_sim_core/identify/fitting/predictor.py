@@ -12,19 +12,18 @@ from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
 from itertools import chain
-from math import ceil, log2
 
 import numpy as np
 from scipy import fft
 from scipy.linalg import expm, solve_discrete_are
 from scipy.signal import fftconvolve
 
-from puma_sim_core.effects.base import Point as Place
 from puma_sim_core.errors import NonFiniteStateError, ParameterError
 from puma_sim_core.identify.arrays import Bools, Floats, log_rows
 from puma_sim_core.identify.data import filters
 from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.data.sampling import changing
+from puma_sim_core.identify.fitting.steps import parts_of_steps, stable_step
 from puma_sim_core.identify.noise.weighting import Weighting, folded_response
 from puma_sim_core.identify.parallel import parallel_map
 from puma_sim_core.identify.remembered import Remembered
@@ -428,28 +427,3 @@ def _response(F: Floats, G: Floats, C: Floats, gain: Floats) -> Floats:
             break
         x = kept @ x
     return np.array(out)
-
-
-def stable_step(plant: Plant, at_most: float) -> float:
-    """Step of integration [s] at which a plant's windings are stable, since a fit may make them fast."""
-    return min([at_most, *(FITTING.greatest_step_lags * lag for lag in _lags(plant).values())])
-
-
-def parts_of_steps(plant: Plant, at_most: float) -> int:
-    """Parts of a step of integration that resolve the instants at which a law switches a current; 1 where none does.
-
-    Those of a power of two: models side by side, whose parameters differ by little, take the same steps.
-    """
-    switched = {e.joint for e in plant.effects if any(law.point is Place.CURRENT_RATE for law in e.kind.laws)}
-    own = (lag for joint, lag in _lags(plant).items() if joint in switched)
-    resolved = min((FITTING.switched_step_lags * lag for lag in own), default=at_most)
-    if at_most <= resolved:
-        return 1
-    finest = at_most * 0.5 ** min(ceil(log2(at_most / resolved)), FITTING.switched_halves)
-    return max(1, ceil(stable_step(plant, at_most) / finest))
-
-
-def _lags(plant: Plant) -> dict[int, float]:
-    """Time constants [s] of the windings that have an inductance, by joint."""
-    motors = ((joint, plant.arm.motors[axis]) for joint, axis in enumerate(plant.axes, start=1))
-    return {joint: m.inductance / m.resistance for joint, m in motors if m.inductance > 0.0}
