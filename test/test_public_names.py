@@ -33,6 +33,13 @@ def test_a_name_is_imported_when_it_is_used():
     assert "numpy" in modules_after("import puma_sim_core as ps; ps.Plant")
 
 
+@pytest.mark.parametrize("module", ["identify.explain", "appraisal.statistics", "tuning.estimation"])
+def test_distributions_come_without_the_library_that_takes_half_a_second(module):
+    program = f"import sys, puma_sim_core.{module}; print('scipy.stats' in sys.modules)"
+    ran = subprocess.run([sys.executable, "-c", program], cwd=ROOT, check=True, capture_output=True, text=True)
+    assert ran.stdout == "False\n"
+
+
 @pytest.mark.parametrize("name", ps.__all__)
 def test_each_public_name_is_there_and_documented(name):
     assert (getattr(ps, name).__doc__ or "").strip()

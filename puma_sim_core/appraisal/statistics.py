@@ -17,8 +17,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import beta, norm
-from scipy.stats import t as student
+from scipy.special import betaincinv, ndtri, stdtrit
 
 from puma_sim_core.checks import check_shapes, check_whole
 from puma_sim_core.errors import ParameterError
@@ -69,8 +68,8 @@ def failure_share(failures: int, trials: int, level: float = LEVEL) -> Interval:
     if not 0.0 < level < 1.0:
         raise ParameterError(f"level {level!r}", where=_WHERE, expected="between 0 and 1")
     tail = 0.5 * (1.0 - level)
-    low = float(beta.ppf(tail, failures, trials - failures + 1)) if failures else 0.0
-    high = float(beta.ppf(1.0 - tail, failures + 1, trials - failures)) if failures < trials else 1.0
+    low = float(betaincinv(failures, trials - failures + 1, tail)) if failures else 0.0
+    high = float(betaincinv(failures + 1, trials - failures, 1.0 - tail)) if failures < trials else 1.0
     return Interval(failures / trials, low, high)
 
 
@@ -250,7 +249,7 @@ def paired_change(before: ArrayLike, after: ArrayLike) -> Interval:
     first, second = check_shapes("(n,)", _WHERE, before=before, after=after)
     more = second - first
     n, mean = len(more), float(more.mean())
-    half = float(student.ppf(0.5 + 0.5 * LEVEL, n - 1) * more.std(ddof=1) / sqrt(n)) if n > 1 else 0.0
+    half = float(stdtrit(n - 1, 0.5 + 0.5 * LEVEL) * more.std(ddof=1) / sqrt(n)) if n > 1 else 0.0
     return Interval(mean, mean - half, mean + half)
 
 
@@ -287,10 +286,10 @@ def trials_needed(
     fixed = len(trials.sizes) - drawn
     if variance <= 1e-24:
         return Needed(1, drawn + fixed)
-    draws = max(2, ceil((norm.ppf(0.5 + 0.5 * LEVEL) + norm.ppf(power)) ** 2 * variance / wanted**2))
+    draws = max(2, ceil((ndtri(0.5 + 0.5 * LEVEL) + ndtri(power)) ** 2 * variance / wanted**2))
     while True:
         freedom = drawn * (draws - 1)
-        reach = float(student.ppf(0.5 + 0.5 * LEVEL, freedom) + student.ppf(power, freedom))
+        reach = float(stdtrit(freedom, 0.5 + 0.5 * LEVEL) + stdtrit(freedom, power))
         if reach * sqrt(variance / draws) <= wanted:
             return Needed(draws, draws * drawn + fixed)
         draws += 1

@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from puma_sim_core.effects import KINDS
 from puma_sim_core.effects.base import RATE, SIZE
@@ -53,7 +53,7 @@ def heterogeneity(values: Sequence[float], errors: Sequence[float]) -> tuple[flo
     y, weights = np.asarray(values), np.asarray(errors) ** -2.0
     mean = float(weights @ y / weights.sum())
     q, free = float(weights @ (y - mean) ** 2), len(y) - 1
-    return mean, float(weights.sum() ** -0.5 * max(1.0, np.sqrt(q / free))), q, float(chi2.sf(q, free))
+    return mean, float(weights.sum() ** -0.5 * max(1.0, np.sqrt(q / free))), q, float(chdtrc(free, q))
 
 
 def _effect(key: Hypothesis, reports: Sequence[Mapping[str, Any] | None]) -> AgreementOfEffect:

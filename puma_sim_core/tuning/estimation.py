@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import least_squares
-from scipy.stats import chi2, norm
+from scipy.special import chdtrc, ndtri
 
 from puma_sim_core.arm.rigid_body import inertia
 from puma_sim_core.errors import ParameterError
@@ -117,7 +117,7 @@ class Estimate:
     @property
     def intervals(self) -> np.ndarray:
         """(k, 2) confidence intervals, each of one parameter by itself."""
-        half = norm.ppf(0.5 + self.confidence / 2.0) * self.deviations
+        half = ndtri(0.5 + self.confidence / 2.0) * self.deviations
         return np.column_stack([self.values - half, self.values + half])
 
     def of(self, name: str) -> tuple[float, float, float]:
@@ -130,7 +130,7 @@ class Estimate:
         """(value, low, high) of constant + a weighted sum of parameters."""
         w = np.array([weights.get(name, 0.0) for name in self.names])
         value = constant + float(w @ self.values)
-        half = norm.ppf(0.5 + self.confidence / 2.0) * float(np.sqrt(w @ self.covariance @ w))
+        half = ndtri(0.5 + self.confidence / 2.0) * float(np.sqrt(w @ self.covariance @ w))
         return value, value - half, value + half
 
 
@@ -277,9 +277,7 @@ def estimate(
     covariance = cho_solve(information, np.eye(len(guess))) * np.outer(guess, guess)
     freedom = len(fit.fun) - len(guess)
     total = 2.0 * fit.cost
-    return Estimate(
-        tuple(names), fit.x * guess, covariance, total / freedom, float(chi2.sf(total, freedom)), confidence
-    )
+    return Estimate(tuple(names), fit.x * guess, covariance, total / freedom, float(chdtrc(freedom, total)), confidence)
 
 
 def _check_distinct(jacobian: np.ndarray, names: Sequence[str]) -> None:

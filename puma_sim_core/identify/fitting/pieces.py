@@ -6,7 +6,7 @@ Alexopoulos and Seila 1998, Handbook of Simulation, chapter 7).
 """
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from puma_sim_core.identify.arrays import Bools, Floats, Ints, runs
 from puma_sim_core.identify.settings import SELECTION
@@ -31,4 +31,4 @@ def clearly_above_zero(values: Floats) -> bool:
     if count < 2:
         return mean > 0.0
     error = float(values.std(ddof=1)) / np.sqrt(count)
-    return bool(mean > student.ppf(SELECTION.noise_confidence, count - 1) * error)
+    return bool(mean > stdtrit(count - 1, SELECTION.noise_confidence) * error)

@@ -16,7 +16,6 @@ from itertools import chain
 import numpy as np
 from scipy import fft
 from scipy.linalg import expm, solve_discrete_are
-from scipy.signal import fftconvolve
 
 from puma_sim_core.errors import NonFiniteStateError, ParameterError
 from puma_sim_core.identify.arrays import Bools, Floats, log_rows
@@ -308,8 +307,10 @@ class Predictor:
         """(N, J) innovations of voltages (N, J) [V] that the plant does not know of, each at its own joint alone."""
         out = np.empty_like(volts)
         for rows in log_rows(self.lengths):
+            count = rows.stop - rows.start
             for j, taps in enumerate(self.responses):
-                out[rows, j] = fftconvolve(volts[rows, j], taps)[: rows.stop - rows.start]
+                size = fft.next_fast_len(count + len(taps) - 1, real=True)
+                out[rows, j] = fft.irfft(fft.rfft(volts[rows, j], size) * fft.rfft(taps, size), size)[:count]
         return out
 
     @property

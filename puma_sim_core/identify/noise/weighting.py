@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import fft
-from scipy.signal import lfilter
+from scipy.ndimage import convolve1d
 
 from puma_sim_core.identify.arrays import Complexes, Floats, log_rows
 from puma_sim_core.identify.settings import NOISE
@@ -35,7 +35,7 @@ class Weighting:
     def _filtered(self, j: int, values: Floats) -> Floats:
         taps = self.filters[j]
         if len(taps) <= NOISE.whitening_direct:
-            filtered: Floats = lfilter(taps, [1.0], values, axis=0)
+            filtered: Floats = convolve1d(values, taps, axis=0, mode="constant", origin=-(len(taps) // 2))
             return filtered
         # transforms of rows that stand together in memory take half the time
         columns = np.ascontiguousarray(np.moveaxis(values, 0, -1))
