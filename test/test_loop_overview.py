@@ -90,7 +90,7 @@ def test_titles_are_skipped_and_a_line_of_units_is_obeyed(file, title, units, sc
     assert np.allclose(table, np.array([row.split(",") for row in rows], float) * scales, rtol=1e-15)
     before = title.count("\n") + 1 + bool(units)
     assert log.lines.tolist() == [before + 1, before + 2, before + 3]
-    assert any("lines before the names" in note for note in log.notes) == bool(title)
+    assert any("Lines before the names" in note for note in log.notes) == bool(title)
     if units and not title:  # not so in files of commands, where a text is a mistake
         with pytest.raises(RecordingError, match="line 2, column .* expected a number"):
             list(CsvRows(file).blocks(range(3), finite=True))

@@ -68,7 +68,7 @@ def read_log(
     units = {group: [unit_in(rows, place, group) for place in own] for group, own in places.items()}
     factors = [factor for own in units.values() for _, factor in own]
     notes += _converted(units)
-    notes += [f"{rows.title} lines before the names of the columns were skipped."] if rows.title else []
+    notes += [f"Lines before the names of the columns were skipped ({rows.title})."] if rows.title else []
     table = table * factors
     starts = accumulate(map(len, places.values()), initial=0)
     groups = {group: table[:, a : a + len(own)].copy() for a, (group, own) in zip(starts, places.items())}
