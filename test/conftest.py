@@ -75,8 +75,6 @@ def pytest_collection_modifyitems(config, items):
         config.hook.pytest_deselected(items=left)
         others = {id(item) for item in left}
         items[:] = [item for item in items if id(item) not in others]
-        # those that wait for nodes and clocks first, while others have work for the processors
-        items.sort(key=lambda item: not item.path.stem.startswith("test_ros"))
 
 
 def _shared_out(files: set[str], shares: int) -> dict[str, int]:
