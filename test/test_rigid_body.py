@@ -18,7 +18,7 @@ from trace_form import arm_table, trace_coriolis, trace_gravity, trace_inertia
 from puma_sim_core.arm import printed_coefficients as printed
 from puma_sim_core.arm.arm import Link
 from puma_sim_core.arm.kinematics import dh_table, dh_transform
-from puma_sim_core.arm.parameters import load_parameters, parameter_sets
+from puma_sim_core.arm.parameters import load_parameters, parameter_sets, smallest_eigenvalue, within_a_turn
 from puma_sim_core.arm.rigid_body import arm_pseudo_inertias, coriolis, gravity_torque, inertia, lumped_constants
 
 angles = st.tuples(*[st.floats(-math.pi, math.pi) for _ in range(3)]).map(np.array)
@@ -390,6 +390,14 @@ def test_lowest_eigenvalue_of_the_rigid_links():
     poses = np.radians([[0, 90, -90], [0, -90, -90]])
     values = np.linalg.eigvalsh(inertia(poses, load_parameters("bejczy")))[:, 0]
     np.testing.assert_allclose(values, -0.405, rtol=0, atol=5e-4)
+
+
+def test_many_turns_are_looked_at_as_one():
+    arm = load_parameters("bejczy")
+    wide, whole = (replace(arm, joint_ranges=(ends, ends, ends)) for ends in ((-30.0, 30.0), (-np.pi, np.pi)))
+    assert all(high - low == pytest.approx(2.0 * np.pi) for low, high in within_a_turn(wide))
+    assert smallest_eigenvalue(wide)[0] == pytest.approx(smallest_eigenvalue(whole)[0], abs=1e-6)
+    assert within_a_turn(arm) == [tuple(ends) for ends in arm.joint_ranges[1:]]
 
 
 # --------------------------------------------------------------------- coefficients of section 4.5

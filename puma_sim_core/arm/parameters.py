@@ -219,6 +219,11 @@ def check_parameters(parameters: ArmParameters, where: str | None = None) -> Non
         )
 
 
+def within_a_turn(parameters: ArmParameters) -> list[tuple[float, float]]:
+    """Ranges [rad] of joints 2 and 3 that hold all poses in which D differs: it repeats after a whole turn."""
+    return [(float(low), float(min(high, low + 2.0 * math.pi))) for low, high in parameters.joint_ranges[1:]]
+
+
 def smallest_eigenvalue(parameters: ArmParameters) -> tuple[float, float, float]:
     """Smallest eigenvalue [kg.m^2] of D + Ia over the ranges of joints 2 and 3, with q2, q3 [rad].
 
@@ -226,7 +231,7 @@ def smallest_eigenvalue(parameters: ArmParameters) -> tuple[float, float, float]
     pose of the one before.
     """
     added = np.diag(parameters.motor_inertia)
-    low, high = np.array(parameters.joint_ranges[1:], dtype=float).T
+    low, high = np.array(within_a_turn(parameters)).T
     count = np.ceil((high - low) / math.radians(_POSE_STEP)).astype(int) + 1
     first, last = low, high
     for _ in range(4):

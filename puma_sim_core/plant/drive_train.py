@@ -8,7 +8,7 @@ from math import ceil, floor, log10, sqrt
 import numpy as np
 
 from puma_sim_core.arm.arm import ArmParameters
-from puma_sim_core.arm.parameters import smallest_eigenvalue
+from puma_sim_core.arm.parameters import smallest_eigenvalue, within_a_turn
 from puma_sim_core.arm.rigid_body import inertia
 from puma_sim_core.effects import Effect
 from puma_sim_core.effects.base import Train
@@ -139,7 +139,7 @@ def _with_inertias(arm: ArmParameters, inertias: Iterable[float]) -> ArmParamete
 
 
 def _poses(arm: ArmParameters) -> np.ndarray:
-    second, third = (np.linspace(low, high, int((high - low) / _POSES) + 2) for low, high in arm.joint_ranges[1:])
+    second, third = (np.linspace(low, high, int((high - low) / _POSES) + 2) for low, high in within_a_turn(arm))
     second, third = np.meshgrid(second, third, indexing="ij")
     return np.stack([np.zeros(second.size), second.ravel(), third.ravel()], axis=-1)
 
