@@ -343,12 +343,14 @@ class PredictionFit:
             back = self._moved(whole[0], self._step(slopes, *whole, pairs)[0], pairs)
             if back is not None:
                 yield back
-        parts = (self._moved(point, share * step, pairs) for share in FITTING.step_shares)
+        parts = [share * step for share in FITTING.step_shares]
         if not any(effect.kind.dry for effect in point.effects):
-            yield from (part for part in parts if part is not None)
+            moved = (self._moved(point, each, pairs) for each in parts)
+            yield from (part for part in moved if part is not None)
             return
-        damped = (self._step(slopes, point, errors, pairs, damping)[0] for damping in FITTING.dampings)
-        shorter = [part for part in (*parts, *(self._moved(point, each, pairs) for each in damped)) if part is not None]
+        damped = [self._step(slopes, point, errors, pairs, damping)[0] for damping in FITTING.dampings]
+        tried = parallel_map(lambda each: self._moved(point, each, pairs), [*parts, *damped])
+        shorter = [part for part in tried if part is not None]
         if shorter:
             yield min(shorter, key=lambda part: self.objective(part[1], part[0]))
 
