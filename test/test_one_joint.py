@@ -129,6 +129,32 @@ def test_no_inductance_is_the_limit_of_a_small_one():
 
 
 @pytest.mark.parametrize(
+    "effects",
+    [
+        [],
+        ["coulomb_friction:joint=1,torque=0.05"],
+        ["coulomb_friction:joint=1,torque=0.05", "joint_spring:joint=1,stiffness=0.3"],
+        ["load_dependent_friction:joint=1,coefficient=0.2,transmitted=0.1"],
+        ["presliding_friction:joint=1,stiffness=20", "coulomb_friction:joint=1,torque=0.05"],
+        ["resistance_drift:joint=1,share=0.8,time_constant=1", "friction_warm_up:joint=1,share=0.4,time_constant=1"],
+        ["impulse:joint=1,torque=0.1,time=0.3,width=0.1", "coulomb_friction:joint=1,torque=0.05"],
+        ["joint_elasticity:joint=1,stiffness=40", "coulomb_friction:joint=1,torque=0.05"],
+        ["input_delay:time=0.0013", "sensor_lag:joint=1,time_constant=0.01"],
+    ],
+)
+def test_a_current_limit_beyond_reach_changes_nothing(effects):
+    """Without inductance the step takes the back-EMF for friction where no limit bends the current, and settles the
+    current at each stage where one may: the same motion in two ways."""
+    time = np.arange(0.0, 0.6, 0.002)
+    voltage = (2.0 * np.sin(11.0 * time))[:, None]
+    run = Simulator(pendulum(effects)).run(time, voltage)
+    limited = Simulator(pendulum([*effects, "current_limit:joint=1,current=50"])).run(time, voltage)
+    assert np.ptp(run.position) > 0.02
+    for name in ("position", "velocity", "current"):
+        assert_allclose(getattr(run, name), getattr(limited, name), atol=1e-11, err_msg=name)
+
+
+@pytest.mark.parametrize(
     "effect",
     [
         "coulomb_friction:joint=1,torque=0.05",

@@ -1,6 +1,8 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """The electrical circuits of the three motors: equation 5.1, L di/dt = V - R i - ke N qd."""
 
+from typing import Any
+
 from puma_sim_core.dynamics.laws import (
     ALGEBRAIC,
     CURRENT_LIMIT,
@@ -60,6 +62,31 @@ def settled_state(x: Vec, v: Vec, model: Model, p: Table) -> Vec:
     """The state with `settled_currents`."""
     i1, i2, i3 = settled_currents(x, v, model, p)
     return x[0], x[1], x[2], x[3], x[4], x[5], i1, i2, i3
+
+
+@inlined
+def has_damping(active: int) -> bool:
+    """Whether `with_damping` holds for a plant with these stages: no limit and no sagging supply bends its currents."""
+    return active & ALGEBRAIC != 0 and active & (CURRENT_LIMIT | DROOP) == 0
+
+
+@inlined
+def with_damping(x: Vec, v: Vec, model: Model) -> tuple[Any, ...]:
+    """The state and the model with the back-EMF of motors without inductance as viscous friction.
+
+    While V is held, i = (V - ke N w) / R makes the torque kT i - H w the same as kT V / R - (H + kT ke N / R) w: that
+    of a constant current.
+    """
+    y1, r1, k1, n1, h1, y2, r2, k2, n2, h2, y3, r3, k3, n3, h3 = model.drive
+    i1, i2, i3 = x[6], x[7], x[8]
+    if y1 == 0.0:
+        i1, h1 = v[0] / r1, h1 + n1 * k1 / r1
+    if y2 == 0.0:
+        i2, h2 = v[1] / r2, h2 + n2 * k2 / r2
+    if y3 == 0.0:
+        i3, h3 = v[2] / r3, h3 + n3 * k3 / r3
+    drive = Drive(y1, r1, k1, n1, h1, y2, r2, k2, n2, h2, y3, r3, k3, n3, h3)
+    return (x[0], x[1], x[2], x[3], x[4], x[5], i1, i2, i3), Model(model.body, drive, model.active)
 
 
 @inlined

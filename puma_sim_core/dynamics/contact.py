@@ -14,7 +14,7 @@ from collections.abc import Callable
 from typing import Any
 
 from puma_sim_core.dynamics.circuit import settled_state
-from puma_sim_core.dynamics.laws import ALGEBRAIC, DRY, LOCKED, VARYING, constant_level
+from puma_sim_core.dynamics.laws import ALGEBRAIC, DRY, LOCKED, TIMED, VARYING, constant_level
 from puma_sim_core.dynamics.rigid import arm_step, library_trigonometry, remove_rows, rigid_body, solve
 from puma_sim_core.dynamics.torques import effect_torques, gravity_torques, has_bristle, has_dry, sliding_level
 from puma_sim_core.dynamics.types import STILL, Model
@@ -33,6 +33,12 @@ def slip_direction(j: int, locked: float, w: float, p: Table) -> float:
     if locked != 0.0 or w == 0.0 or has_bristle(j, p):
         return 0.0
     return 1.0 if w > 0.0 else -1.0
+
+
+@inlined
+def rests(x: Vec, lock: Vec) -> bool:
+    """Whether a joint that is free to move is at rest."""
+    return (x[3] == 0.0 and lock[0] == 0.0) or (x[4] == 0.0 and lock[1] == 0.0) or (x[5] == 0.0 and lock[2] == 0.0)
 
 
 @inlined
@@ -353,7 +359,7 @@ def contact_step(x: Vec, z: Vec, v: Vec, h: float, model: Model, p: Table, lock:
     if active & ALGEBRAIC:
         # what decides whether a joint sticks is the current that these voltages drive
         x = settled_state(x, v, model, p)
-    if (x[3] != 0.0 or lock[0] != 0.0) and (x[4] != 0.0 or lock[1] != 0.0) and (x[5] != 0.0 or lock[2] != 0.0):
+    if not rests(x, lock):
         slip = sliding(
             slip_direction(0, lock[0], x[3], p),
             slip_direction(1, lock[1], x[4], p),
@@ -364,8 +370,8 @@ def contact_step(x: Vec, z: Vec, v: Vec, h: float, model: Model, p: Table, lock:
         # stages given as literals let the compiler drop all others
         if active == DRY:
             y, z_end = arm_step(x, z, v, h, Model(model.body, model.drive, DRY), p, lock, slip)
-        elif active & ~(DRY | VARYING) == 0:
-            y, z_end = arm_step(x, z, v, h, Model(model.body, model.drive, DRY | VARYING), p, lock, slip)
+        elif active & ~(DRY | VARYING | LOCKED | TIMED) == 0:
+            y, z_end = arm_step(x, z, v, h, Model(model.body, model.drive, DRY | VARYING | LOCKED), p, lock, slip)
         else:
             y, z_end = cold_step(x, z, v, h, model, p, lock, slip)
         if slip[0] * y[3] >= 0.0 and slip[1] * y[4] >= 0.0 and slip[2] * y[5] >= 0.0:

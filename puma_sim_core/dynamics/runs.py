@@ -13,7 +13,7 @@ its row, or -1.
 from collections.abc import Callable
 from typing import Any
 
-from puma_sim_core.dynamics.circuit import drive_at, settled_state
+from puma_sim_core.dynamics.circuit import drive_at, has_damping, settled_state, with_damping
 from puma_sim_core.dynamics.contact import cold_step, contact, contact_step, with_held
 from puma_sim_core.dynamics.laws import (
     ALGEBRAIC,
@@ -48,7 +48,9 @@ WIDE = SENSED | TWO_MASS | MEMORY
 ROW, WIDE_ROW = 12, 12 + Z_WIDTH
 deflections_in_row, z_in_row = row_readers(ROW)
 #: stages of plants without dry friction that have a step of their own
-_COMMON = SMOOTH | VARYING | BRISTLE | CURRENT_LIMIT | LOCKED
+_COMMON = SMOOTH | VARYING | BRISTLE | CURRENT_LIMIT | LOCKED | TIMED
+#: stages that act before or after a step
+_AROUND = SENSED | DELAYED
 #: numbers of `late` in `run_servo` before the voltages that it holds back
 LATE_WIDTH = 5
 
@@ -79,6 +81,12 @@ def terminal_voltages(v1: float, v2: float, v3: float, p: Table) -> Vec:
     return fitting(_terminal_voltages, p)(v1, v2, v3, p)
 
 
+@inlined
+def stages_of_step(active: int) -> int:
+    """The stages that a step itself has, of those of a plant: what acts before or after it is none of them."""
+    return active & ~(_AROUND | ALGEBRAIC) if has_damping(active) else active & ~_AROUND
+
+
 @merged
 def advance(state: State, v: Vec, t: float, h: float, n: int, model: Model, p: Table, lock: Vec) -> State:
     """The state after n steps of h seconds from time t [s] on with the voltages v held."""
@@ -97,25 +105,31 @@ def advance(state: State, v: Vec, t: float, h: float, n: int, model: Model, p: T
 def advance_stages(state: State, v: Vec, t: float, h: float, n: int, model: Model, p: Table, lock: Vec) -> State:
     """`advance` for a plant with active stages."""
     x, z, m = state
-    active = model.active
+    damped, active = has_damping(model.active), stages_of_step(model.active)
     b = deflections_of(z)
-    # the mask lets the compiler drop the other stages
-    common = Model(model.body, model.drive, active & _COMMON)
+    now = Model(model.body, model.drive, active)
     for k in range(n):
-        now, push = model, STILL
+        push = STILL
         if active & TIMED:
             now = Model(model.body, drive_at(t + (k + 0.5) * h, model.drive, p), active)
             push = push_over(t + k * h, h, p)
+        at = now
+        if damped:
+            x, at = with_damping(x, v, now)
         if active & DRY:
-            y, b = contact_step(x, b, v, h, now, p, lock, push)
-        elif active & ~_COMMON == 0:
-            y, b = arm_step(x, b, v, h, common, p, lock, NO_SLIP)
+            y, b = contact_step(x, b, v, h, at, p, lock, push)
         else:
             outside = (0.0, 0.0, 0.0, -push[0], -push[1], -push[2])
-            y, b = cold_step(x, b, v, h, now, p, lock, outside)
-        if active & SENSED:
+            if active & ~_COMMON == 0:
+                # the mask lets the compiler drop the other stages
+                y, b = arm_step(x, b, v, h, Model(at.body, at.drive, active & _COMMON), p, lock, outside)
+            else:
+                y, b = cold_step(x, b, v, h, at, p, lock, outside)
+        if model.active & SENSED:
             m = measured_after(m, x, y, h, p)
         x = y
+    if damped:
+        x = settled_state(x, v, now, p)
     return State(x, with_deflections(z, b), m)
 
 
@@ -333,16 +347,22 @@ def _arm_accelerations(out: Table, rows: Rows, constants: Constants, lock: Vec, 
 def train_advance(state: State, v: Vec, t: float, h: float, n: int, model: Model, p: Table, lock: Vec) -> State:
     """`advance` with drive trains."""
     x, z, m = state
-    active = model.active
+    damped, active = has_damping(model.active), stages_of_step(model.active)
+    now = Model(model.body, model.drive, active)
     for k in range(n):
-        now, push = model, STILL
+        push = STILL
         if active & TIMED:
             now = Model(model.body, drive_at(t + (k + 0.5) * h, model.drive, p), active)
             push = push_over(t + k * h, h, p)
-        y, z = train_step(x, z, v, h, now, p, lock, push)
-        if active & SENSED:
+        at = now
+        if damped:
+            x, at = with_damping(x, v, now)
+        y, z = train_step(x, z, v, h, at, p, lock, push)
+        if model.active & SENSED:
             m = measured_after(m, x, y, h, p)
         x = y
+    if damped:
+        x = settled_state(x, v, now, p)
     return State(x, z, m)
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from puma_sim_core.dynamics.circuit import settled_state
-from puma_sim_core.dynamics.contact import passing
+from puma_sim_core.dynamics.contact import passing, rests
 from puma_sim_core.dynamics.laws import (
     ALGEBRAIC,
     CURRENT_LIMIT,
@@ -138,7 +138,7 @@ def tracked_rows(
             continue
         pushed = (gain[1] * e1, gain[4] * e2, gain[7] * e3)
         d1, d2, d3 = pushed
-        if active & DRY and (x[3] == 0.0 or x[4] == 0.0 or x[5] == 0.0):
+        if active & DRY and rests(x, lock):
             # the torque that the model does not know of acts since the last correction, and so does friction
             at, push = model_at(now, p, rows.time[r] + span)
             if active & ALGEBRAIC:
