@@ -14,7 +14,9 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from puma_sim_core.arm.rigid_body import gravity_torque
+from puma_sim_core.effects import parse_effect
 from puma_sim_core.jit import BACKEND
+from puma_sim_core.plant.mechanism_file import load_mechanism
 from puma_sim_core.plant.plant import Plant
 from puma_sim_core.simulation.conditions import Constraint
 from puma_sim_core.simulation.simulator import Simulator
@@ -186,6 +188,46 @@ def test_a_joint_held_again_by_its_neighbours_does_not_start():
     recording = simulator.run([0.0, 1e-4], np.zeros((2, 3)), acceleration=True)
     assert recording.acceleration[0, 1] == 0.0 and recording.velocity[1, 1] == 0.0
     assert recording.acceleration[0, 0] != 0.0 and recording.acceleration[0, 2] != 0.0
+
+
+def test_a_joint_that_sticks_bears_what_bristles_of_another_one_hold():
+    """Dry friction is the limit of friction through ever stiffer bristles, also beside a joint with bristles that stay
+    soft: the distance falls with the root of the stiffness."""
+    mechanism = load_mechanism("so101_pitch")
+    time = np.arange(2000 if BACKEND == "numba" else 500) * 2e-3
+    volts = np.stack([0.3 + 0.4 * np.sin(3.0 * time), 0.4 + 0.03 * np.sin(1.3 * time)], axis=1)
+
+    def run(friction, step):
+        effects = ("presliding_friction:joint=1,stiffness=100,torque=0.1", f"{friction}joint=2,torque=0.1")
+        simulator = Simulator(mechanism.plant(mechanism.start, tuple(map(parse_effect, effects))), max_step=step)
+        simulator.reset([0.3, 0.4])
+        return simulator.run(time, volts)
+
+    dry = run("coulomb_friction:", 1e-3)
+    assert 0.2 < np.mean(dry.velocity[:, 1] == 0.0) < 0.8
+    stiff, stiffer = (
+        abs(run(f"presliding_friction:stiffness={stiffness},", step).position - dry.position).max()
+        for stiffness, step in ((1e3, 2e-4), (1e4, 6e-5))
+    )
+    assert stiff / stiffer > 2.8
+
+
+@pytest.mark.parametrize("drive", [[], ["joint_elasticity:joint=1,stiffness=20000,damping=5"]], ids=["rigid", "soft"])
+def test_finer_steps_move_no_joint_that_sticks_beside_one_with_bristles(drive):
+    plant = plant_of(
+        *drive, "presliding_friction:joint=3,stiffness=2000,torque=6", "coulomb_friction:joint=2,torque=25"
+    )
+    time = np.arange(0.0, 2.0 if BACKEND == "numba" else 0.3, 0.01)
+    volts = np.stack([0.0 * time, 1.5 * np.sin(9.0 * time) + 0.3, 4.0 * np.sin(5.0 * time)], axis=1)
+
+    def run(step):
+        simulator = Simulator(plant, max_step=step)
+        simulator.reset((0.1, -1.2, 1.0))
+        return simulator.run(time, volts)
+
+    coarse, fine = run(2.5e-4), run(1.25e-4)
+    assert 0.2 < np.mean(fine.velocity[:, 1] == 0.0) < 0.8
+    np.testing.assert_allclose(coarse.position, fine.position, rtol=0.0, atol=1e-7)
 
 
 def test_a_joint_pulls_another_one_loose():

@@ -14,9 +14,16 @@ from collections.abc import Callable
 from typing import Any
 
 from puma_sim_core.dynamics.circuit import settled_state
-from puma_sim_core.dynamics.laws import ALGEBRAIC, DRY, LOCKED, TIMED, VARYING, constant_level
+from puma_sim_core.dynamics.laws import ALGEBRAIC, BRISTLE, DRY, LOCKED, TIMED, VARYING, constant_level, deflections_of
 from puma_sim_core.dynamics.rigid import arm_step, library_trigonometry, remove_rows, rigid_body, solve
-from puma_sim_core.dynamics.torques import effect_torques, gravity_torques, has_bristle, has_dry, sliding_level
+from puma_sim_core.dynamics.torques import (
+    bristle_torques,
+    effect_torques,
+    gravity_torques,
+    has_bristle,
+    has_dry,
+    sliding_level,
+)
 from puma_sim_core.dynamics.types import STILL, Model
 from puma_sim_core.jit import Table, Vec, inlined, interpreted, merged, outlined
 
@@ -75,15 +82,18 @@ def overload(j: int, sticks: float, torque: float, x: Vec, load: Vec, p: Table) 
 
 @inlined
 def free_system(x: Vec, z: Vec, v: Vec, slip: Vec, model: Model, p: Table) -> Vec:
-    """The system of the arm with friction on its sliding joints only.
+    """The system of the arm with friction on its sliding joints only, and with what bends.
 
-    z and v are those of a step, for arms that need them (`two_mass.motor_system`).
+    z : deflections; v : of a step, for arms that need it (`two_mass.motor_system`).
     """
     _, _, _, w1, w2, w3, i1, i2, i3 = x
     _, _, _, n1, h1, _, _, _, n2, h2, _, _, _, n3, h3 = model.drive
     trig = library_trigonometry(x[1], x[2])
     motors = (n1 * i1 - h1 * w1, n2 * i2 - h2 * w2, n3 * i3 - h3 * w3)
-    t1, t2, t3 = effect_torques(x, motors, trig, model, p, slip, STILL)
+    bend = STILL
+    if model.active & BRISTLE:
+        _, bend = bristle_torques(z, 0.0, 0.0, 0.0, STILL, p)
+    t1, t2, t3 = effect_torques(x, motors, trig, model, p, slip, bend)
     return rigid_body(w1, w2, w3, t1, t2, t3, trig, model.body)
 
 
@@ -333,7 +343,12 @@ def build_changing_step(
 
 
 contact, margin, _passing = build_contact(free_system)
-passing = outlined(interpreted(_passing))
+
+
+@outlined
+def passing(x: Vec, z: Vec, v: Vec, d: Vec, h: float, model: Model, p: Table, lock: Vec, push: Vec) -> Vec:
+    """`past_friction` of the velocities d [rad/s] of an arm's joints; z : all of it."""
+    return _passing(x, deflections_of(z), v, d, h, model, p, lock, push)
 
 
 @outlined

@@ -332,12 +332,12 @@ def _arm_accelerations(out: Table, rows: Rows, constants: Constants, lock: Vec, 
         if active & ALGEBRAIC:
             x = settled_state(x, v, at, p)
         slip = (0.0, 0.0, 0.0, -push[0], -push[1], -push[2])
-        held, bend = lock, STILL
+        held, bend, deflected = lock, STILL, deflections_in_row(out, r, active)
         if active & DRY:
-            held, slip = contact(x, STILL, STILL, at, p, lock, push)
+            held, slip = contact(x, deflected, STILL, at, p, lock, push)
             at = with_held(at, held)
         if active & BRISTLE:
-            _, bend = bristle_torques(deflections_in_row(out, r, active), 0.0, 0.0, 0.0, STILL, p)
+            _, bend = bristle_torques(deflected, 0.0, 0.0, 0.0, STILL, p)
         a = derivative(x, v, at, p, held, slip, bend)
         for j in range(3):
             result[r, j] = a[3 + j]

@@ -247,7 +247,10 @@ def motor_system(x: Vec, z: Vec, v: Vec, slip: Vec, model: Model, p: Table) -> V
     """
     k1, k2, k3 = trains(p)
     s = link_motions(x, (z[3], z[4], z[5], z[6], z[7], z[8]), p)
-    system, torques = link_system(x, s, v, model, p, slip, STILL)
+    bend = STILL
+    if model.active & BRISTLE:
+        _, bend = bristle_torques(deflections_of(z), 0.0, 0.0, 0.0, STILL, p)
+    system, torques = link_system(x, s, v, model, p, slip, bend)
     system = without_link(k1, 0, system, torques[0], p)
     system = without_link(k2, 1, system, torques[1], p)
     return without_link(k3, 2, system, torques[2], p)
