@@ -6,7 +6,10 @@ from __future__ import annotations
 import json
 import math
 import re
+import time
+from concurrent.futures import ProcessPoolExecutor
 from functools import partial
+from threading import Thread
 
 import pytest
 
@@ -338,18 +341,38 @@ def test_a_batch_goes_on_where_it_stopped(tmp_path, monkeypatch, capsys):
     assert run.main(given) == 0 and len(made) == 9
 
 
-def _failing(begun, wrong, recipe, folder, small):
+def _failing(begun, ended, wrong, recipe, folder, small):
     (begun / str(recipe.seed)).touch()
     if recipe.seed == wrong:
         raise RuntimeError("cannot be made")
+    while not ended.exists():
+        time.sleep(0.01)
     return outcome(answer(), report("NOTHING_MISSING"))
 
 
 def test_a_batch_of_several_processes_ends_at_an_error(tmp_path, monkeypatch):
     """At the error, rather than when all that waits has been done."""
-    begun, first = tmp_path / "begun", plan.plan({"nothing": 40}, plan.FINAL_SEED)[0].seed
+    begun, ended, first = tmp_path / "begun", tmp_path / "ended", plan.plan({"nothing": 40}, plan.FINAL_SEED)[0].seed
     begun.mkdir()
-    monkeypatch.setattr(run.jobs, "work", partial(_failing, begun, first))
+
+    class Pool(ProcessPoolExecutor):
+        """What runs lasts until what waits has been cancelled, however busy the machine is."""
+
+        def submit(self, *args):
+            self.given = [*getattr(self, "given", []), super().submit(*args)]
+            return self.given[-1]
+
+        def shutdown(self, wait=True, *, cancel_futures=False):
+            def release():
+                while cancel_futures and not any(future.cancelled() for future in self.given):
+                    time.sleep(0.01)
+                ended.touch()
+
+            Thread(target=release).start()
+            super().shutdown(wait, cancel_futures=cancel_futures)
+
+    monkeypatch.setattr(run, "ProcessPoolExecutor", Pool)
+    monkeypatch.setattr(run.jobs, "work", partial(_failing, begun, ended, first))
     monkeypatch.setattr(run.jobs, "warm_up", lambda: None)
     with pytest.raises(RuntimeError, match="cannot be made"):
         run.main(["--only", "nothing=40", "--processes", "2", "--out", str(tmp_path / "score")])
