@@ -101,7 +101,7 @@ EFFECT = Kind(
             steps=1.0,
         ),
         Parameter(
-            "stiffness", "N.m/rad", 1e-3, 1e7, "K of the teeth in contact", RATE, default=_STIFFNESS, prior=(5e5, 2.5)
+            "stiffness", "N.m/rad", 100.0, 1e7, "K of the teeth in contact", RATE, default=_STIFFNESS, prior=(5e5, 2.5)
         ),
         Parameter(
             "damping", "N.m.s/rad", 0.0, 5000.0, "B of the teeth in contact", default=_DAMPING, prior=(150.0, 2.5)
