@@ -14,17 +14,17 @@ from collections.abc import Callable
 from typing import Any
 
 from puma_sim_core.dynamics.circuit import settled_state
-from puma_sim_core.dynamics.laws import ALGEBRAIC, BRISTLE, DRY, LOCKED, TIMED, VARYING, constant_level, deflections_of
+from puma_sim_core.dynamics.laws import ALGEBRAIC, DRY, LOCKED, TIMED, VARYING, constant_level, deflections_of
 from puma_sim_core.dynamics.rigid import arm_step, library_trigonometry, remove_rows, rigid_body, solve
 from puma_sim_core.dynamics.torques import (
-    bristle_torques,
+    bent_torques,
     effect_torques,
     gravity_torques,
     has_bristle,
     has_dry,
     sliding_level,
 )
-from puma_sim_core.dynamics.types import STILL, Model
+from puma_sim_core.dynamics.types import Model
 from puma_sim_core.jit import Table, Vec, inlined, interpreted, merged, outlined
 
 #: changes of contact that are located inside one step; more than that is chatter, see below
@@ -90,9 +90,7 @@ def free_system(x: Vec, z: Vec, v: Vec, slip: Vec, model: Model, p: Table) -> Ve
     _, _, _, n1, h1, _, _, _, n2, h2, _, _, _, n3, h3 = model.drive
     trig = library_trigonometry(x[1], x[2])
     motors = (n1 * i1 - h1 * w1, n2 * i2 - h2 * w2, n3 * i3 - h3 * w3)
-    bend = STILL
-    if model.active & BRISTLE:
-        _, bend = bristle_torques(z, 0.0, 0.0, 0.0, STILL, p)
+    bend = bent_torques(z, model.active, p)
     t1, t2, t3 = effect_torques(x, motors, trig, model, p, slip, bend)
     return rigid_body(w1, w2, w3, t1, t2, t3, trig, model.body)
 

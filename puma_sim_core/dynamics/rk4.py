@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from puma_sim_core.dynamics.circuit import limited_currents, motor_torques, settled_currents
 from puma_sim_core.dynamics.laws import ALGEBRAIC, BRISTLE, CURRENT_LIMIT, POSED
-from puma_sim_core.dynamics.torques import bristle_levels, bristle_torques
+from puma_sim_core.dynamics.torques import bent_torques, bristle_levels, bristle_torques
 from puma_sim_core.dynamics.types import STILL, Model
 from puma_sim_core.jit import Table, Vec, inlined, written
 
@@ -55,9 +55,7 @@ def build_step(rates: Callable[..., Any], sums: Sums, trigonometry: Callable[...
     @inlined
     def step(y: Vec, z: Vec, v: Vec, h: float, model: Model, p: Table, lock: Vec, slip: Vec) -> tuple[Any, ...]:
         active, half = model.active, 0.5 * h
-        bend, level = STILL, STILL
-        if active & BRISTLE:
-            _, bend = bristle_torques(z, 0.0, 0.0, 0.0, level, p)
+        bend, level = bent_torques(z, active, p), STILL
         a = rates(y, v, model, p, lock, slip, bend)
         middle = moved(y, half, a)
         if active & BRISTLE:

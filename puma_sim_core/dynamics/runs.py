@@ -37,7 +37,7 @@ from puma_sim_core.dynamics.laws import (
 )
 from puma_sim_core.dynamics.rigid import arm_step, derivative
 from puma_sim_core.dynamics.sensed import measured_after
-from puma_sim_core.dynamics.torques import bristle_torques, push_over
+from puma_sim_core.dynamics.torques import bent_torques, push_over
 from puma_sim_core.dynamics.two_mass import settled_links, train_rates, train_step, trains
 from puma_sim_core.dynamics.types import FREE, NO_SLIP, STILL, Constants, Model, Rows, ServoLoop, State
 from puma_sim_core.jit import Table, Vec, compiled, fitting, inlined, interpreted, merged, outlined
@@ -332,13 +332,11 @@ def _arm_accelerations(out: Table, rows: Rows, constants: Constants, lock: Vec, 
         if active & ALGEBRAIC:
             x = settled_state(x, v, at, p)
         slip = (0.0, 0.0, 0.0, -push[0], -push[1], -push[2])
-        held, bend, deflected = lock, STILL, deflections_in_row(out, r, active)
+        held, deflected = lock, deflections_in_row(out, r, active)
         if active & DRY:
             held, slip = contact(x, deflected, STILL, at, p, lock, push)
             at = with_held(at, held)
-        if active & BRISTLE:
-            _, bend = bristle_torques(deflected, 0.0, 0.0, 0.0, STILL, p)
-        a = derivative(x, v, at, p, held, slip, bend)
+        a = derivative(x, v, at, p, held, slip, bent_torques(deflected, active, p))
         for j in range(3):
             result[r, j] = a[3 + j]
 

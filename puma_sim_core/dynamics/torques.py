@@ -29,7 +29,7 @@ from puma_sim_core.dynamics.laws import (
     push_torque,
     speed_level,
 )
-from puma_sim_core.dynamics.types import Model
+from puma_sim_core.dynamics.types import STILL, Model
 from puma_sim_core.jit import Table, Vec, inlined, outlined
 
 
@@ -184,6 +184,15 @@ def bristle_levels(x: Vec, motors: Vec, trig: Vec, model: Model, p: Table) -> Ve
 
 #: (z, t1, t2, t3, level, p) -> deflections after travels t1, t2, t3 [rad], and their torques [N.m]
 bristle_torques = deflection_torques(bristle_step)
+
+
+@inlined
+def bent_torques(z: Vec, active: int, p: Table) -> Vec:
+    """Torques [N.m] of deflections z as they are."""
+    if active & BRISTLE:
+        _, bend = bristle_torques(z, 0.0, 0.0, 0.0, STILL, p)
+        return bend
+    return STILL
 
 
 @inlined

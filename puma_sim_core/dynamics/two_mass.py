@@ -28,7 +28,6 @@ from puma_sim_core.dynamics.contact import build_changing_step, build_contact
 from puma_sim_core.dynamics.laws import (
     ALGEBRAIC,
     AT_REST,
-    BRISTLE,
     DRY,
     POSED,
     SMOOTH,
@@ -41,7 +40,7 @@ from puma_sim_core.dynamics.laws import (
 )
 from puma_sim_core.dynamics.rigid import library_trigonometry, remove_rows, rigid_body, solve
 from puma_sim_core.dynamics.rk4 import build_step, sums_of
-from puma_sim_core.dynamics.torques import bristle_torques, effect_torques
+from puma_sim_core.dynamics.torques import bent_torques, effect_torques
 from puma_sim_core.dynamics.types import NO_SLIP, STILL, Model
 from puma_sim_core.effects.shared.drive_train import (
     TRAIN_WIDTH,
@@ -247,9 +246,7 @@ def motor_system(x: Vec, z: Vec, v: Vec, slip: Vec, model: Model, p: Table) -> V
     """
     k1, k2, k3 = trains(p)
     s = link_motions(x, (z[3], z[4], z[5], z[6], z[7], z[8]), p)
-    bend = STILL
-    if model.active & BRISTLE:
-        _, bend = bristle_torques(deflections_of(z), 0.0, 0.0, 0.0, STILL, p)
+    bend = bent_torques(deflections_of(z), model.active, p)
     system, torques = link_system(x, s, v, model, p, slip, bend)
     system = without_link(k1, 0, system, torques[0], p)
     system = without_link(k2, 1, system, torques[1], p)
@@ -290,13 +287,11 @@ def train_passing(x: Vec, z: Vec, v: Vec, d: Vec, h: float, model: Model, p: Tab
 def train_rates(x: Vec, z: Vec, v: Vec, model: Model, p: Table, lock: Vec, push: Vec) -> Vec:
     """`rates` at a state, with the joints that stick found and the bristles bent as they are."""
     held = (v[0], v[1], v[2], push[0], push[1], push[2])
-    still, slip, bend = lock, NO_SLIP, STILL
+    still, slip, bend = lock, NO_SLIP, bent_torques(deflections_of(z), model.active, p)
     if model.active & ALGEBRAIC:
         x = settled_state(x, v, model, p)
     if model.active & DRY:
         still, slip = motor_contact(x, z, held, model, p, lock, STILL)
-    if model.active & BRISTLE:
-        _, bend = bristle_torques(deflections_of(z), 0.0, 0.0, 0.0, STILL, p)
     y = with_links_behind(x, z)
     return rates(y, held, model, p, still, slip, bend)
 
