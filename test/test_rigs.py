@@ -348,6 +348,16 @@ def test_what_was_interrupted_goes_on_and_other_code_does_not_count(tmp_path, da
     assert [row["mark"] for row in rows] == ["right", "not measured yet", "cannot be described yet"]
 
 
+def test_a_run_is_asked_for_by_its_name_or_by_that_of_its_folder(tmp_path, data, monkeypatch):
+    path, asked, answer = small_list(tmp_path), [], outcome(report("NAMED", effect("coulomb_friction", 1)))
+    path.write_text(path.read_text().replace("name: two,", "name: 'two, held out',"))
+    monkeypatch.setattr(program, "in_a_process", lambda job, limit: asked.append(job.name) or answer)
+    for number, text in enumerate(("two, held", "tiny/two, held out", "two-held-out")):
+        (tmp_path / str(number)).mkdir()
+        program.main(["--out", str(tmp_path / str(number)), "--rigs", str(path), "--data", str(data), "--run", text])
+    assert asked == ["tiny/two-held-out"] * 3
+
+
 @pytest.mark.parametrize("role, explained", [("development", ["tiny/one"]), ("test", ["tiny/two"])])
 def test_runs_of_one_role_leave_the_others_alone(role, explained, tmp_path, data, monkeypatch):
     path, asked, answer = small_list(tmp_path), [], outcome(report("NAMED", effect("coulomb_friction", 1)))
@@ -381,6 +391,7 @@ def test_wrong_use_is_said_and_explains_nothing(tmp_path, monkeypatch, capsys):
         (("--data", str(tmp_path / "nowhere")), "is no folder"),
         (("--only", "crane"), "no machine 'crane'"),
         (("--invariances", "upside_down"), "no invariance 'upside_down'"),
+        (("--run", "tidal"), "no run with 'tidal'"),
     ):
         given_data = () if "--data" in more or not more else ("--data", str(tmp_path))
         code = program.main(["--out", str(tmp_path / "out"), "--rigs", str(tmp_path / "rigs.yaml"), *given_data, *more])

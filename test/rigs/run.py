@@ -49,6 +49,10 @@ def main(arguments: list[str] | None = None) -> int:
         chosen = {rig.name for rig in catalogue.chosen(rigs, _words(given.only))}
         selection = _selection(given)
         data = _data_folder(given.data)
+        runs = [(rigs[name], run) for name in rigs if name in chosen for run in _asked(rigs[name], given)]
+        if given.run and not runs:
+            names = ", ".join(run.key for name in rigs if name in chosen for run in rigs[name].runs)
+            raise UsageError(f"no run with '{given.run}'; expected a part of one of {names}")
     except (PumaSimError, UsageError) as error:
         print(f"rigs: {error}", file=sys.stderr)
         return 2
@@ -57,7 +61,6 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     Path(given.out).mkdir(parents=True, exist_ok=True)
     bench = Bench(rigs, data, Path(given.out), given.jobs, given.limit)
-    runs = [(rigs[name], run) for name in rigs if name in chosen for run in _asked(rigs[name], given)]
     bench.explain([Job.of(rig, run, data, given.out) for rig, run in runs])
     bench.explain(
         [
@@ -213,7 +216,8 @@ def put_table(page: Path, text: str) -> None:
 def _asked(rig: Rig, given: argparse.Namespace) -> list[Run]:
     """The runs of a machine that can be described and are asked for."""
     roles = catalogue.ROLES if given.role is None else (given.role,)
-    runs = [run for run in rig.runs if run.needs is None and given.run in run.key and run.role in roles]
+    named = [run for run in rig.runs if given.run in run.key or given.run in f"{rig.name}/{run.name}"]
+    runs = [run for run in named if run.needs is None and run.role in roles]
     return runs[:1] if given.quick else runs
 
 
@@ -249,7 +253,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--only", action="append", default=[], metavar="RIG,...", help="machines to explain (default: all)"
     )
-    parser.add_argument("--run", default="", metavar="TEXT", help="runs whose RIG/NAME has this text")
+    parser.add_argument(
+        "--run", default="", metavar="TEXT", help="runs whose RIG/NAME, in tables or of folders, has this"
+    )
     parser.add_argument("--role", choices=catalogue.ROLES, help="runs of this role alone (default: both)")
     parser.add_argument("--quick", action="store_true", help="the first run of each machine, no invariances")
     parser.add_argument(
