@@ -325,7 +325,7 @@ def test_effects_whose_trials_had_not_come_to_their_end_are_fitted_to_it(ends, i
     trials = SimpleNamespace(
         predictor=PREDICTOR,
         free=lambda point: (),
-        implausible=lambda effect: effect.kind.name in {full[short] for short in impossible},
+        problem_of=lambda fit, model, n: model.point.effects[n].kind.name in {full[short] for short in impossible},
     )
     before = replace(state_of([stage], position), model=position.fitted)
     after = elimination(trials).simplify(before)
@@ -389,8 +389,10 @@ def test_an_error_within_the_encoders_step_is_none_of_the_machine(effect, least)
 
     def problem(size, step):
         sampled = SimpleNamespace(joints=3, position=position, quantum=np.array([0.0, step, 1.0]))
-        chooser = Trials(None, SimpleNamespace(mechanism=load_mechanism(), sampled=sampled))
-        return chooser.implausible(parse_effect(effect.format(size)))
+        arm = load_mechanism()
+        chooser = Trials(None, SimpleNamespace(mechanism=arm, sampled=sampled))
+        model = Fitted(Point(arm.start, (parse_effect(effect.format(size)),)), np.zeros((4, 3)), 0.0, ())
+        return chooser.problem_of(SimpleNamespace(mechanism=arm), model, 0)
 
     step = 2e-3
     assert "the encoder's own error (a step of 0.002 rad)" in problem(0.99 * least * step, step)

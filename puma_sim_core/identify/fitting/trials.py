@@ -21,6 +21,7 @@ from puma_sim_core.identify.fitting import occam
 from puma_sim_core.identify.fitting.pieces import clearly_above_zero
 from puma_sim_core.identify.fitting.prediction import Fitted, Pairs, Point, PredictionFit, Slopes, bounded, with_value
 from puma_sim_core.identify.fitting.predictor import Predictor
+from puma_sim_core.identify.fitting.resolution import unresolved
 from puma_sim_core.identify.noise.weighting import Weighting
 from puma_sim_core.identify.screening.evidence import Key, Scored
 from puma_sim_core.identify.screening.problem import Problem
@@ -268,7 +269,7 @@ class Trials:
         """The trial of a fitted hypothesis, by its gains over the base."""
         factor = occam.factor(scored, fit, fitted)
         gain = base.objective - fitted.objective - factor
-        problem = self.implausible(fitted.point.effects[-1])
+        problem = self.problem_of(fit, fitted, len(fitted.point.effects) - 1)
         # the derivatives are the greatest part of it, and what is named is fitted again
         kept = replace(fitted, jacobian=None)
         return Trial(scored, gain, self.validation_gain(fit, base, fitted, gain), kept, factor, problem)
@@ -349,9 +350,15 @@ class Trials:
         effect = bounded(KINDS[scored.name], scored.joint, scored.values or {})
         return self.mechanism.plant(self.mechanism.start, (effect,)).effects[-1]
 
+    def problem_of(self, fit: PredictionFit, fitted: Fitted, number: int) -> str | None:
+        """Why an effect of a fitted model, by its number, may not be named, None where it may."""
+        effect = fitted.point.effects[number]
+        step = 0.0 if effect.joint is None else float(self.problem.sampled.quantum[effect.joint - 1])
+        return unresolved(fit, fitted, number, step) or self.implausible(effect)
+
     def implausible(self, effect: Effect) -> str | None:
         """Why an effect can be none of this machine, None where it may be one."""
-        without_size = self._on_bound(effect) or self._unresolved(effect) or self._illegal(effect)
+        without_size = self._on_bound(effect) or self._illegal(effect)
         if without_size is not None:
             return without_size
         joints = [effect.joint - 1] if effect.joint is not None else list(range(self.mechanism.joints))
@@ -396,17 +403,6 @@ class Trials:
         """Lowest and highest position of a joint (1-based) in the logs."""
         q = self.problem.sampled.position[:, joint - 1]
         return float(q.min()), float(q.max())
-
-    def _unresolved(self, effect: Effect) -> str | None:
-        """Why an error of the position is none of the machine's: an encoder's own is as large, half a step to each side
-        (IEEE Std 1241, an ideal quantiser)."""
-        step = 0.0 if effect.joint is None else float(self.problem.sampled.quantum[effect.joint - 1])
-        unit = self.mechanism.position_unit
-        for parameter in effect.kind.parameters:
-            if parameter.steps is not None and effect.values[parameter.name] < parameter.steps * step:
-                size = f"{parameter.name} {effect.values[parameter.name]:.3g} {unit}"
-                return f"{size} is no more than the encoder's own error (a step of {step:.3g} {unit})"
-        return None
 
 
 def _is_fitted(parameter: Parameter) -> bool:

@@ -60,8 +60,9 @@ class Elimination:
     def withdraw(self, state: SelectionState) -> SelectionState:
         """Take out effects of which no machine has the values that the model has come to: a trial's fit need not have
         ended. What the log asks for and no machine has refutes that nothing is missing. A pass."""
-        for number, effect in enumerate(state.model.point.effects):
-            problem = self.trials.implausible(effect)
+        fit = PredictionFit(self.predictor, state.noise)
+        for number in range(len(state.chosen)):
+            problem = self.trials.problem_of(fit, state.model, number)
             if problem is not None:
                 gone = replace(state.chosen[number].trial, problem=problem)
                 history = tuple(stage.less(gone) for stage in state.history)
@@ -158,7 +159,7 @@ class Elimination:
             effect = moved.effects[-1]
             free = [(len(rest), name) for name in self.trials.names(effect, effect.values)]
             tried = fit.run(moved, free, jacobian=others, frozen=frozen)
-            if tried is None or self.trials.implausible(tried.point.effects[-1]):
+            if tried is None or self.trials.problem_of(fit, tried, len(rest)):
                 continue
             gain = full.objective - tried.objective - rival.occam + chosen.occam
             if gain <= SELECTION.replacement_gain * scatter or (best is not None and gain <= best[0]):
@@ -202,7 +203,8 @@ class Elimination:
             alike = (t for t in _open(stage, state) if t.joint == simpler[1].joint)
             richer = (t for t in alike if self._contains(t, simpler[1].name))
             others = [self._ended(state, full, number, t, t.effect) for t in richer]
-            possible = (pair for pair in others if not self.trials.implausible(pair[0].point.effects[number]))
+            fit = PredictionFit(self.predictor, state.noise)
+            possible = (pair for pair in others if not self.trials.problem_of(fit, pair[0], number))
             rival = min(possible, key=_cost, default=first)
             # as of any rival: a coin would not turn out the same in another log
             best = rival if _cost(rival) < _cost(first) - SELECTION.replacement_gain else first
