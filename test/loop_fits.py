@@ -6,7 +6,8 @@ from __future__ import annotations
 from loop_logs import pieces, record
 
 from puma_sim_core.effects import parse_effect
-from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
+from puma_sim_core.identify.fitting.point import Point
+from puma_sim_core.identify.fitting.prediction import PredictionFit
 from puma_sim_core.identify.fitting.trials import Base, Trials
 from puma_sim_core.identify.screening.evidence import Scored
 from puma_sim_core.identify.selection.state import SelectionState

@@ -14,7 +14,8 @@ import pytest
 from puma_sim_core.effects import KINDS, parse_effect
 from puma_sim_core.identify.checks.wrong_zero import wrong_zeros
 from puma_sim_core.identify.explain import Stages, retracted
-from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
+from puma_sim_core.identify.fitting.point import Point
+from puma_sim_core.identify.fitting.prediction import Fitted, PredictionFit
 from puma_sim_core.identify.fitting.trials import Trial, Trials
 from puma_sim_core.identify.residuals.unnamed import Explained, curve_preferred
 from puma_sim_core.identify.screening.evidence import Scored

@@ -11,7 +11,8 @@ from loop_logs import pieces, record
 from scipy.optimize import minimize_scalar
 
 from puma_sim_core.effects import Effect, parse_effect
-from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
+from puma_sim_core.identify.fitting.point import Point
+from puma_sim_core.identify.fitting.prediction import Fitted, PredictionFit
 from puma_sim_core.identify.noise.open_loop import NoiseFloor
 from puma_sim_core.identify.screening.problem import Problem
 from puma_sim_core.identify.selection import cross_validation

@@ -10,7 +10,8 @@ from loop_logs import pieces, record
 from puma_sim_core.effects import KINDS, parse_effect
 from puma_sim_core.identify import explain
 from puma_sim_core.identify.fitting.dispersion import blocks
-from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
+from puma_sim_core.identify.fitting.point import Point
+from puma_sim_core.identify.fitting.prediction import PredictionFit
 from puma_sim_core.identify.screening.causal import CausalScreen
 from puma_sim_core.identify.screening.elsewhere import gains_elsewhere, level_elsewhere, level_of_pieces
 from puma_sim_core.plant.mechanism_file import load_mechanism

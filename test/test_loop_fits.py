@@ -16,7 +16,8 @@ from puma_sim_core.effects import KINDS, Effect, parse_effect
 from puma_sim_core.errors import NonFiniteStateError
 from puma_sim_core.identify import explain
 from puma_sim_core.identify.fitting.intervals import deviations, intervals
-from puma_sim_core.identify.fitting.prediction import Point, PredictionFit, Slopes, bounded_step
+from puma_sim_core.identify.fitting.point import Point
+from puma_sim_core.identify.fitting.prediction import PredictionFit, Slopes, bounded_step
 from puma_sim_core.identify.fitting.resolution import unresolved
 from puma_sim_core.identify.fitting.trials import Base, Trials
 from puma_sim_core.identify.prepare import runnable

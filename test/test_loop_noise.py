@@ -10,7 +10,8 @@ from scipy.signal import lfilter, oaconvolve
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.fitting import intervals
-from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
+from puma_sim_core.identify.fitting.point import Point
+from puma_sim_core.identify.fitting.prediction import Fitted, PredictionFit
 from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.noise import innovations
 from puma_sim_core.identify.noise.weighting import Weighting

@@ -12,7 +12,8 @@ from scipy.stats import multivariate_normal, norm
 
 from puma_sim_core.effects import KINDS, Effect, parse_effect
 from puma_sim_core.identify.fitting import occam
-from puma_sim_core.identify.fitting.prediction import Fitted, Point
+from puma_sim_core.identify.fitting.point import Point
+from puma_sim_core.identify.fitting.prediction import Fitted
 from puma_sim_core.identify.screening.evidence import Scored
 
 SCALE = 10.0

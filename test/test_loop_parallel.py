@@ -12,7 +12,8 @@ from puma_sim_core.effects import parse_effect
 from puma_sim_core.executors import THREADS
 from puma_sim_core.identify import parallel
 from puma_sim_core.identify.data.log import Log
-from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
+from puma_sim_core.identify.fitting.point import Point
+from puma_sim_core.identify.fitting.prediction import PredictionFit
 from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.plant.mechanism_file import load_mechanism
 from puma_sim_core.simulation.simulator import Simulator

@@ -14,7 +14,8 @@ import puma_sim_core as ps
 from puma_sim_core.effects import KINDS, Effect, parse_effect
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.identify import explain
-from puma_sim_core.identify.fitting.prediction import Fitted, Point
+from puma_sim_core.identify.fitting.point import Point
+from puma_sim_core.identify.fitting.prediction import Fitted
 from puma_sim_core.identify.fitting.trials import Trial
 from puma_sim_core.identify.screening.evidence import Scored
 from puma_sim_core.identify.screening.hypotheses import open_to

@@ -10,7 +10,8 @@ from puma_sim_core.effects import parse_effect
 from puma_sim_core.identify import explain
 from puma_sim_core.identify.data.machine_log import read_for
 from puma_sim_core.identify.data.sampling import sample
-from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
+from puma_sim_core.identify.fitting.point import Point
+from puma_sim_core.identify.fitting.prediction import PredictionFit
 from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.noise import innovations
 from puma_sim_core.plant.mechanism_file import load_mechanism

@@ -12,7 +12,8 @@ from loop_logs import pieces, record
 
 from puma_sim_core.effects.screening import VOLTAGE_COLUMN, Candidate
 from puma_sim_core.identify import explain
-from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit
+from puma_sim_core.identify.fitting.point import Point
+from puma_sim_core.identify.fitting.prediction import Fitted, PredictionFit
 from puma_sim_core.identify.residuals.shape import Curve, again, axes, describe, noise, simplest_first
 from puma_sim_core.identify.residuals.unnamed import Unnamed
 from puma_sim_core.identify.screening.causal import CausalScreen

@@ -11,7 +11,8 @@ import pytest
 from loop_logs import pieces, record
 
 from puma_sim_core.effects import KINDS, parse_effect
-from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
+from puma_sim_core.identify.fitting.point import Point
+from puma_sim_core.identify.fitting.prediction import PredictionFit
 from puma_sim_core.identify.fitting.trials import unseen
 from puma_sim_core.identify.prepare import library_of
 from puma_sim_core.identify.screening.causal import CausalScreen

@@ -11,7 +11,8 @@ from scipy.stats import multivariate_normal
 from puma_sim_core.identify.data import filters
 from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.data.sampling import resting, sample
-from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
+from puma_sim_core.identify.fitting.point import Point
+from puma_sim_core.identify.fitting.prediction import PredictionFit
 from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.noise import residual as noise
 from puma_sim_core.identify.noise.weighting import Weighting

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from loop_logs import pieces, record
 
-from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
+from puma_sim_core.identify.fitting.point import Point
+from puma_sim_core.identify.fitting.prediction import PredictionFit
 from puma_sim_core.identify.prepare import library_of
 from puma_sim_core.identify.screening.causal import CausalScreen, Placebos, placebo_shifts
 from puma_sim_core.identify.screening.evidence import solved

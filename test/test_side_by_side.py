@@ -17,7 +17,8 @@ from puma_sim_core.dynamics.lanes import LANES
 from puma_sim_core.effects import Effect, parse_effect
 from puma_sim_core.executors import one_thread_of_algebra
 from puma_sim_core.identify.data.log import Log
-from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
+from puma_sim_core.identify.fitting.point import Point
+from puma_sim_core.identify.fitting.prediction import PredictionFit
 from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.settings import FITTING
 from puma_sim_core.plant.mechanism_file import load_mechanism

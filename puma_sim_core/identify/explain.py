@@ -22,7 +22,8 @@ from puma_sim_core.identify.checks.wrong_zero import wrong_zeros
 from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.data.machine_log import read_for, with_volts
 from puma_sim_core.identify.fitting import intervals
-from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
+from puma_sim_core.identify.fitting.point import Point
+from puma_sim_core.identify.fitting.prediction import PredictionFit
 from puma_sim_core.identify.fitting.trials import Trials
 from puma_sim_core.identify.link_side import outcome as link_outcome
 from puma_sim_core.identify.link_side.compare import compare as compare_sides

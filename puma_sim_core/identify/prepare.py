@@ -15,7 +15,7 @@ from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.checks.start_up import held_starts
 from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.data.sampling import sample
-from puma_sim_core.identify.fitting.prediction import Point
+from puma_sim_core.identify.fitting.point import Point
 from puma_sim_core.identify.fitting.predictor import Predictor, RowChoice
 from puma_sim_core.identify.result import Fault
 from puma_sim_core.identify.screening.problem import Problem

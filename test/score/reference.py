@@ -14,7 +14,8 @@ import numpy as np
 from puma_sim_core.effects import KINDS, VISCOUS, Effect
 from puma_sim_core.errors import PumaSimError
 from puma_sim_core.identify.data.ingest import read_log
-from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
+from puma_sim_core.identify.fitting.point import Point
+from puma_sim_core.identify.fitting.prediction import PredictionFit
 from puma_sim_core.identify.fitting.trials import Trials
 from puma_sim_core.identify.noise import innovations
 from puma_sim_core.identify.prepare import prepare

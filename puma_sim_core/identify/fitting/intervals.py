@@ -15,7 +15,8 @@ from puma_sim_core.effects import Effect, Parameter
 from puma_sim_core.effects.base import Role
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.identify.arrays import Floats
-from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit, Slopes, with_value
+from puma_sim_core.identify.fitting.point import Point, with_value
+from puma_sim_core.identify.fitting.prediction import Fitted, PredictionFit, Slopes
 from puma_sim_core.identify.parallel import parallel_map
 from puma_sim_core.identify.settings import FITTING
 

@@ -7,54 +7,25 @@ The innovations of a true model are white and independent of the past, with feed
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache, partial
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from puma_sim_core.effects import Effect, Kind
+from puma_sim_core.effects import Effect
 from puma_sim_core.errors import NonFiniteStateError, ParameterError
 from puma_sim_core.identify.arrays import Floats
+from puma_sim_core.identify.fitting.damping import best_damping
 from puma_sim_core.identify.fitting.pieces import pieces
+from puma_sim_core.identify.fitting.point import Pairs, Point, size_of, with_value
 from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.noise.weighting import Weighting
 from puma_sim_core.identify.parallel import parallel_map
-from puma_sim_core.identify.settings import FITTING, RESIDUALS
-from puma_sim_core.plant.mechanism import Mechanism
-from puma_sim_core.plant.plant import Plant
-
-#: (number of an effect in a model, one of its parameters), one by one
-Pairs = tuple[tuple[int, str], ...]
-
-
-@dataclass(frozen=True)
-class Point:
-    """A model: parameters theta (p,) and effects."""
-
-    theta: Floats
-    effects: tuple[Effect, ...]
-
-    @property
-    def two_mass(self) -> bool:
-        """Whether a joint has two masses."""
-        return any(effect.kind.two_masses for effect in self.effects)
-
-    @property
-    def key(self) -> Hashable:
-        """Equal for models that are equal to the bit."""
-        effects = ((effect.kind.name, effect.joint, *sorted(effect.values.items())) for effect in self.effects)
-        return self.theta.tobytes(), tuple(effects)
-
-    def plant(self, mechanism: Mechanism) -> Plant:
-        """The plant of a mechanism with these parameters and effects."""
-        return mechanism.plant(self.theta, self.effects)
-
-    def stretched(self, mechanism: Mechanism) -> bool:
-        """Whether parameters are farther from their start than their priors allow."""
-        return bool(np.any(np.abs(self.theta - mechanism.start) > RESIDUALS.stretched * mechanism.deviations))
+from puma_sim_core.identify.settings import FITTING
 
 
 class Slopes(NamedTuple):
@@ -221,7 +192,7 @@ class PredictionFit:
 
     def _by_effect(self, point: Point, raw: Floats, number: int, name: str) -> Floats:
         effect = point.effects[number]
-        size = _size(effect, name)
+        size = size_of(effect, name)
         for share in (FITTING.effect_difference, -FITTING.effect_difference):
             effects = with_value(point.effects, number, name, effect.values[name] + share * size)
             moved = None if effects is None else self._raw(Point(point.theta, effects))
@@ -250,7 +221,7 @@ class PredictionFit:
         best = self.objective(errors, point)
         pairs = (*frozen, *free)
         own = pairs[len(frozen) :]
-        slopes = jacobian
+        slopes, damping = jacobian, None
         for _ in range(rounds):
             if jacobian is None:
                 slopes = Slopes.of(self.whitened(self.derivatives(point, pairs)))
@@ -262,10 +233,10 @@ class PredictionFit:
             if promised < FITTING.least_promise:
                 break
             gained = 0.0
-            for moved, trial in self._tried(slopes, step, point, errors, pairs):
+            for moved, trial, damped in self._tried(slopes, step, point, errors, pairs, damping):
                 objective = self.objective(trial, moved)
                 if objective < best:
-                    gained = best - objective
+                    gained, damping = best - objective, damped
                     point, errors, best = moved, trial, objective
                     break
             if gained < FITTING.least_round_gain:
@@ -330,29 +301,54 @@ class PredictionFit:
         return step, -float(gradient @ step + 0.5 * step @ normal @ step)
 
     def _tried(
-        self, slopes: Slopes, step: Floats, point: Point, errors: Floats, pairs: Pairs
-    ) -> Iterator[tuple[Point, Floats]]:
-        """(model, its errors) that can be run: a whole step, one more from there, for curved valleys, and parts.
+        self, slopes: Slopes, step: Floats, point: Point, errors: Floats, pairs: Pairs, damping: int | None = None
+    ) -> Iterator[tuple[Point, Floats, int | None]]:
+        """(model, its errors, number of the damping) that can be run: a whole step, one more from there, for curved
+        valleys, and parts.
 
         Dry friction holds a joint in some rows, where no slope tells of the next row that it does not: with it the best
-        of parts and of damped steps follows, which turn to where each parameter goes alone.
+        of parts and of damped steps follows, which turn to where each parameter goes alone. damping : of the step
+        before; where that was damped the best of those near it comes first.
         """
+        damped = self._damped(slopes, point, errors, pairs)
+        if damping is not None:
+            nearest = best_damping(damping, lambda number: self._cost(damped(number)))
+            if (near := damped(nearest)) is not None:
+                yield *near, nearest
         whole = self._moved(point, step, pairs)
         if whole is not None:
-            yield whole
+            yield *whole, None
             back = self._moved(whole[0], self._step(slopes, *whole, pairs)[0], pairs)
             if back is not None:
-                yield back
+                yield *back, None
         parts = [share * step for share in FITTING.step_shares]
         if not any(effect.kind.dry for effect in point.effects):
             moved = (self._moved(point, each, pairs) for each in parts)
-            yield from (part for part in moved if part is not None)
+            yield from ((*part, None) for part in moved if part is not None)
             return
-        damped = [self._step(slopes, point, errors, pairs, damping)[0] for damping in FITTING.dampings]
-        tried = parallel_map(lambda each: self._moved(point, each, pairs), [*parts, *damped])
-        shorter = [part for part in tried if part is not None]
-        if shorter:
-            yield min(shorter, key=lambda part: self.objective(part[1], part[0]))
+        runs = [partial(self._moved, point, part, pairs) for part in parts]
+        runs += [partial(damped, number) for number in range(len(FITTING.dampings))]
+        numbers = [None] * len(parts) + list(range(len(FITTING.dampings)))
+        tried = parallel_map(lambda run: run(), runs)
+        best, number = min(zip(tried, numbers), key=lambda each: self._cost(each[0]))
+        if best is not None:
+            yield *best, number
+
+    def _damped(
+        self, slopes: Slopes, point: Point, errors: Floats, pairs: Pairs
+    ) -> Callable[[int], tuple[Point, Floats] | None]:
+        """The model a damped step away by the number of the damping, and its errors."""
+
+        @cache
+        def damped(number: int) -> tuple[Point, Floats] | None:
+            step, _ = self._step(slopes, point, errors, pairs, FITTING.dampings[number])
+            return self._moved(point, step, pairs)
+
+        return damped
+
+    def _cost(self, moved: tuple[Point, Floats] | None) -> float:
+        """The objective of a model that can be run."""
+        return float("inf") if moved is None else self.objective(moved[1], moved[0])
 
     def _moved(self, point: Point, step: Floats, pairs: Pairs) -> tuple[Point, Floats] | None:
         """The model a step away and its errors, None where it cannot be run."""
@@ -362,7 +358,7 @@ class PredictionFit:
 
     def sizes(self, point: Point, pairs: Pairs) -> list[float]:
         """What the columns of effects are derivatives per: the size of each parameter."""
-        return [_size(point.effects[number], name) for number, name in pairs]
+        return [size_of(point.effects[number], name) for number, name in pairs]
 
     def stepped(self, point: Point, step: Floats, pairs: Pairs, sizes: list[float]) -> Point | None:
         """The model a step (p + c,) away, in the units of the derivatives, within all bounds; None without one."""
@@ -418,31 +414,3 @@ def bounded_step(normal: Floats, gradient: Floats, first: int) -> Floats:
             return step
         step[far] = np.copysign(FITTING.greatest_step, step[far])
         bound |= far
-
-
-def _size(effect: Effect, name: str) -> float:
-    """What derivatives by a parameter are per: its size, or its `step`, as of a stop or an impact."""
-    parameter = effect.kind.parameter(name)
-    if parameter.step is not None:
-        return effect.values[parameter.step] if isinstance(parameter.step, str) else parameter.step
-    small = FITTING.typical_size.get(parameter.unit, FITTING.typical_other)
-    return max(abs(effect.values[name]), FITTING.least_share_of_typical * small)
-
-
-def bounded(kind: Kind, joint: int | None, values: Mapping[str, float]) -> Effect:
-    """An effect with its values within their bounds."""
-    spec = kind.parameter
-    return Effect(kind, joint, {n: min(max(value, spec(n).low), spec(n).high) for n, value in values.items()})
-
-
-def with_value(
-    effects: tuple[Effect, ...], number: int, name: str, value: float, clip: bool = False
-) -> tuple[Effect, ...] | None:
-    """The effects with one value replaced; None where it is out of bounds."""
-    effect = effects[number]
-    values = {**effect.values, name: float(value)}
-    try:
-        changed = (bounded if clip else Effect)(effect.kind, effect.joint, values)
-    except ParameterError:
-        return None
-    return (*effects[:number], changed, *effects[number + 1 :])

@@ -19,7 +19,8 @@ from puma_sim_core.errors import ParameterError
 from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.fitting import occam
 from puma_sim_core.identify.fitting.pieces import clearly_above_zero
-from puma_sim_core.identify.fitting.prediction import Fitted, Pairs, Point, PredictionFit, Slopes, bounded, with_value
+from puma_sim_core.identify.fitting.point import Pairs, Point, bounded, with_value
+from puma_sim_core.identify.fitting.prediction import Fitted, PredictionFit, Slopes
 from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.fitting.resolution import unresolved
 from puma_sim_core.identify.noise.weighting import Weighting

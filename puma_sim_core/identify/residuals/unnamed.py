@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from puma_sim_core.identify.arrays import Floats, log_rows
-from puma_sim_core.identify.fitting.prediction import Fitted, Pairs, Point, PredictionFit, Slopes
+from puma_sim_core.identify.fitting.point import Pairs, Point
+from puma_sim_core.identify.fitting.prediction import Fitted, PredictionFit, Slopes
 from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.noise.weighting import Weighting
 from puma_sim_core.identify.residuals import shape

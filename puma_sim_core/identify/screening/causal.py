@@ -20,7 +20,8 @@ from puma_sim_core.effects import Kind
 from puma_sim_core.effects.screening import TORQUE_COLUMN, Candidate, Signals
 from puma_sim_core.identify.arrays import Complexes, Floats, cholesky, log_rows, solved
 from puma_sim_core.identify.data.sampling import Trajectory
-from puma_sim_core.identify.fitting.prediction import Point, PredictionFit
+from puma_sim_core.identify.fitting.point import Point
+from puma_sim_core.identify.fitting.prediction import PredictionFit
 from puma_sim_core.identify.screening.evidence import Entry, Estimate, Scored, log_gain, score, scored_of
 from puma_sim_core.identify.screening.hypotheses import by_joint, candidates, signals_of
 from puma_sim_core.identify.screening.problem import Problem

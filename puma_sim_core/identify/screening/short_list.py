@@ -11,7 +11,7 @@ import numpy as np
 
 from puma_sim_core.effects import Kind
 from puma_sim_core.effects.screening import Screening
-from puma_sim_core.identify.fitting.prediction import Point
+from puma_sim_core.identify.fitting.point import Point
 from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.screening.causal import CausalScreen
 from puma_sim_core.identify.screening.evidence import Bank, Key, Scored

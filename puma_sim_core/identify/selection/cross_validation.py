@@ -16,7 +16,8 @@ from functools import partial
 import numpy as np
 
 from puma_sim_core.identify.arrays import Bools, Floats
-from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit, Slopes
+from puma_sim_core.identify.fitting.point import Point
+from puma_sim_core.identify.fitting.prediction import Fitted, PredictionFit, Slopes
 from puma_sim_core.identify.fitting.predictor import Predictor, RowChoice
 from puma_sim_core.identify.noise.open_loop import NoiseFloor, RowNoise, Spread, position_floor, variance_of_rows
 from puma_sim_core.identify.noise.weighting import Weighting

@@ -12,7 +12,8 @@ from puma_sim_core.effects import Effect, Kind
 from puma_sim_core.effects.base import Parameter, Role
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.identify.fitting.dispersion import clearly_better, dispersion, errors_between
-from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit, Slopes, bounded
+from puma_sim_core.identify.fitting.point import Point, bounded
+from puma_sim_core.identify.fitting.prediction import Fitted, PredictionFit, Slopes
 from puma_sim_core.identify.fitting.trials import Trial, Trials
 from puma_sim_core.identify.screening.causal import CausalScreen
 from puma_sim_core.identify.screening.evidence import Key

@@ -13,7 +13,8 @@ import numpy as np
 from puma_sim_core.effects import Effect, Kind
 from puma_sim_core.effects.base import Parameter, Role
 from puma_sim_core.errors import ParameterError
-from puma_sim_core.identify.fitting.prediction import Fitted, Point, PredictionFit, bounded
+from puma_sim_core.identify.fitting.point import Point, bounded
+from puma_sim_core.identify.fitting.prediction import Fitted, PredictionFit
 from puma_sim_core.identify.fitting.trials import Trial, Trials, unseen
 from puma_sim_core.identify.parallel import parallel_map
 from puma_sim_core.identify.selection.state import SelectionState
