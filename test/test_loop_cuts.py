@@ -79,6 +79,16 @@ def test_a_log_with_little_left_is_refused_and_says_how_much_is_needed(log):
     assert "149 rows over 0.296 s" in found.faults[1].what and "1 s at least" in found.faults[1].what
 
 
+def test_stamps_that_stand_still_from_some_row_on_are_left_out(log):
+    # as of a counter that is full: most times repeat, and the median step is none
+    found = check(replace(log, time=np.minimum(log.time, log.time[1800])), PENDULUM)
+    assert [len(part) for part in found.parts] == [1801] and not found.faults
+    (cut,) = found.cuts
+    assert (cut.channel, cut.row) == ("time", log.row(1801)) and "time is repeated" in cut.what
+    found = check(replace(log, time=np.full(len(log), 3.5)), PENDULUM)
+    assert not found.parts and "too short: 5000 rows over 0 s" in found.faults[0].what
+
+
 def test_a_channel_that_nothing_needs_may_have_rows_without_a_number(log):
     current = np.full_like(log.position, np.nan)
     found = check(replace(log, current=current), PENDULUM)

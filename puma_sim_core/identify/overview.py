@@ -47,7 +47,7 @@ class Overview:
         """The overview as text."""
         log, found = self.log, self.checked
         steps = 1e3 * np.diff(log.time)
-        rate = f", a row every {np.median(steps):.4g} ms (at most {steps.max():.4g})" if len(steps) else ""
+        rate = f", a row every {1e3 * log.step:.4g} ms (at most {steps.max():.4g})" if len(steps) else ""
         lines = [f"{log.name}: {log.extent}{rate}", *(f"  note: {note}" for note in found.notes)]
         lines += [f"  left out: {cut.channel}, row {cut.row}: {cut.what}" for cut in found.cuts]
         lines += [f"  fault: {fault.channel}: {fault.what}" for fault in (*found.faults, *found.doubts)]

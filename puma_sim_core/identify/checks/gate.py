@@ -169,7 +169,7 @@ def _long_enough(part: Log) -> bool:
 
 def _needed(part: Log) -> float:
     """Time [s] that a part must last: a motion, and what the filters spoil at its ends."""
-    return max(CHECKS.gate_least_time, shortest_span(float(np.median(np.diff(part.time)))) if len(part) > 1 else 0.0)
+    return max(CHECKS.gate_least_time, shortest_span(part.step) if part.step > 0.0 else 0.0)
 
 
 def _short(part: Log) -> Fault:

@@ -59,6 +59,13 @@ class Log:
         return float(self.time[-1] - self.time[0])
 
     @property
+    def step(self) -> float:
+        """Time from a row to the next [s]: the median of those that increase, 0.0 without any."""
+        steps = np.diff(self.time)
+        steps = steps[steps > 0.0]
+        return float(np.median(steps)) if len(steps) else 0.0
+
+    @property
     def extent(self) -> str:
         """Its rows and its span, for people."""
         return f"{len(self)} {'row' if len(self) == 1 else 'rows'} over {self.span:.4g} s"
