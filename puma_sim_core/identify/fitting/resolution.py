@@ -24,6 +24,6 @@ def unresolved(fit: PredictionFit, fitted: Fitted, number: int, step: float) -> 
         if fitted.jacobian is not None and pair in fitted.names:
             spread = float(intervals.deviations(fit, fitted)[0][fitted.names.index(pair)])
         if value - SELECTION.standard_errors * spread < parameter.steps * step:
-            size = f"{parameter.name} {value:.3g} +- {spread:.2g} {unit}"
+            size = f"{parameter.name} {value:.3g}{f' +- {spread:.2g}' if spread else ''} {unit}"
             return f"{size} is not clearly more than the encoder's own error (a step of {step:.3g} {unit})"
     return None
