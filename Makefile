@@ -53,7 +53,7 @@ help:
 	@echo "make loop        record a session with a hidden effect, and find and name it from the bag"
 	@echo "make view        show the demonstration in the browser; records it first if it is not there"
 	@echo "make test        run the quick tests, in two processes (WORKERS=2)"
-	@echo "make test-all    run all tests; make test-long: those that take long alone"
+	@echo "make test-long   run the long tests of CI; make test-all: all tests there are (an hour)"
 	@echo "make coverage    lines of the core that the quick tests reach"
 	@echo "make lint        ruff, mypy, import-linter, codespell"
 	@echo "make docs        build the documentation site in build/docs; warnings are errors"
@@ -156,13 +156,13 @@ define pytest
 endef
 
 test: $(VENV)/.compiled
-	$(call pytest,-m "not long")
+	$(call pytest,-m "not long and not thorough")
 
 test-all: $(VENV)/.compiled
 	$(call pytest,)
 
 test-long: $(VENV)/.compiled
-	$(call pytest,-m long)
+	$(call pytest,-m "long and not thorough")
 
 # Lines of the core that the quick tests reach, their processes with the interpreted kernel included.
 COVERED := --cov=puma_sim_core --cov-report=

@@ -1,8 +1,9 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
-"""`--share n/m`: the n-th of m shares of the files with tests that are marked long, about equally long.
+"""`--share n/m`: the n-th of m shares of the tests that one interpreter is enough for, about equally long.
 
-Two interpreters that run side by side share these tests out: their numbers are the same on any.
-Those of a file stay together, since they may share what it took long to make.
+These are the long tests, and the quick ones of files of which they take ten seconds or more. Interpreters that run side
+by side share them out: their numbers are the same on any. All other quick tests are in each share. The tests of a file
+stay together, since they may share what it took long to make.
 """
 
 from __future__ import annotations
@@ -26,26 +27,73 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
     signal.signal(signal.SIGHUP, lambda *_: None)
 
-#: seconds of a processor that the long tests of a file took when they were last measured (2026-11-27), where many
+#: seconds that the long tests of a file took, thorough ones left out, when last measured (2026-11-28), where many
 LONG = {
-    "test_loop_blind": 233,
-    "test_docs": 196,
-    "test_thesis_report": 109,
-    "test_explain_many": 104,
-    "test_user_effects": 102,
-    "test_loop_rest": 90,
-    "test_ros2_cli": 67,
-    "test_loop_rigs": 64,
-    "test_ros_loop_demo": 61,
-    "test_ros_appraise": 58,
-    "test_loop_shapes": 55,
-    "test_excite": 45,
-    "test_loop_fits": 36,
-    "test_identify_invariance": 32,
-    "test_appraise": 32,
+    "test_docs": 208,
+    "test_ros_appraise": 205,
+    "test_loop_rigs": 116,
+    "test_loop_blind": 113,
+    "test_ros2_cli": 94,
+    "test_explain_many": 71,
+    "test_ros_loop_demo": 65,
+    "test_identify_invariance": 49,
+    "test_view_browser": 47,
+    "test_loop_rest": 46,
+    "test_user_effects": 43,
+    "test_loop_gate": 41,
+    "test_bag_recovery": 38,
+    "test_thesis_chapter_5_6": 36,
+    "test_excite": 33,
+    "test_ros_first_hour": 32,
+    "test_ros_viewer": 32,
+    "test_ros_soak": 31,
+    "test_cli_simulate": 29,
+    "test_appraise": 28,
+    "test_loop_held_out": 26,
+    "test_rigs": 25,
+    "test_loop_pushes": 24,
+    "test_ros_foreign": 23,
+    "test_thesis_report": 23,
+    "test_identification": 20,
 }
 #: of each other file, in the mean
-LONG_OTHERWISE = 10
+LONG_OTHERWISE = 9
+#: files whose quick tests take ten seconds or more
+QUICK = {
+    "test_appraisal_margins",
+    "test_appraisal_statistics",
+    "test_appraise",
+    "test_bag_split",
+    "test_cli_bags",
+    "test_cli_commands",
+    "test_cli_explain",
+    "test_docs",
+    "test_errata",
+    "test_excite",
+    "test_executors",
+    "test_explain_many",
+    "test_link_side",
+    "test_loop_report",
+    "test_loop_shapes",
+    "test_loop_surrogates",
+    "test_loop_undriven",
+    "test_mechanisms",
+    "test_rigid_body",
+    "test_ros_appraise",
+    "test_ros_bag_publisher",
+    "test_ros_controllers",
+    "test_ros_demo",
+    "test_ros_errors",
+    "test_ros_first_hour",
+    "test_ros_lockstep",
+    "test_ros_realtime",
+    "test_ros_startup",
+    "test_ros_user_effects",
+    "test_thesis_report",
+    "test_third_order",
+    "test_user_effects",
+    "test_ziegler_nichols",
+}
 
 
 def pytest_addoption(parser):
@@ -54,7 +102,7 @@ def pytest_addoption(parser):
         default=(1, 1),
         metavar="N/M",
         type=_share,
-        help="the N-th of M shares of the files with tests marked long",
+        help="the N-th of M shares of the tests that one interpreter is enough for",
     )
 
 
@@ -68,21 +116,30 @@ def _share(text: str) -> tuple[int, int]:
 
 def pytest_collection_modifyitems(config, items):
     number, of = config.getoption("--share")
-    long = [item for item in items if item.get_closest_marker("long")]
-    share = _shared_out({item.path.stem for item in long}, of)
-    left = [item for item in long if share[item.path.stem] != number]
+    long = {item: bool(item.get_closest_marker("long")) for item in items}
+    shares = _shared_out({item.path.stem for item in items if long[item]}, of)
+    for item in items:
+        if item.path.stem in QUICK and not long[item]:
+            # of tests of nodes each interpreter has some; the others go where the lines are counted that tests reach
+            shares[item.path.stem, False] = 1 if _of_nodes(item.path.stem) else of
+    left = [item for item in items if shares.get((item.path.stem, long[item]), number) != number]
     if left:
         config.hook.pytest_deselected(items=left)
         others = {id(item) for item in left}
         items[:] = [item for item in items if id(item) not in others]
 
 
-def _shared_out(files: set[str], shares: int) -> dict[str, int]:
-    """The share of each file: the longest first, each to the share that has least so far."""
+def _of_nodes(file: str) -> bool:
+    return file.startswith("test_ros")
+
+
+def _shared_out(files: set[str], shares: int) -> dict[tuple[str, bool], int]:
+    """The share of each file with long tests: those of nodes to the last, the others from the longest on, each to the
+    share that has least so far."""
     taken = [0] * shares
     found = {}
-    for file in sorted(files, key=lambda name: (-LONG.get(name, LONG_OTHERWISE), name)):
-        least = taken.index(min(taken))
+    for file in sorted(files, key=lambda name: (not _of_nodes(name), -LONG.get(name, LONG_OTHERWISE), name)):
+        least = shares - 1 if _of_nodes(file) else taken.index(min(taken))
         taken[least] += LONG.get(file, LONG_OTHERWISE)
-        found[file] = least + 1
+        found[file, True] = least + 1
     return found

@@ -90,7 +90,7 @@ def test_spread_of_open_loop_angles_is_what_the_weights_assume(campaign):
     assert ratio.min() > 0.8 and ratio.max() < 1.2, ratio
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 @compiled_only
 def test_intervals_hold_the_truth_as_often_as_they_say():
     covered, worst = [], 0.0

@@ -386,7 +386,13 @@ def told(explanation):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("truth", ("encoder_offset:joint=1,angle=0.03", "voltage_offset:joint=1,voltage=0.15"))
+@pytest.mark.parametrize(
+    "truth",
+    (
+        pytest.param("encoder_offset:joint=1,angle=0.03", marks=pytest.mark.thorough),
+        "voltage_offset:joint=1,voltage=0.15",
+    ),
+)
 def test_the_log_of_what_is_written_breaks_the_tie_that_explain_reported(truth, tmp_path):
     """The whole way: a poor log, the command that its report gives, and the log of what that
     wrote, explained."""

@@ -216,7 +216,7 @@ def test_noise_alone_gets_no_name():
             assert names(side) == [], (seed, side)
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 def test_intervals_hold_the_true_sizes():
     """Of 60 intervals of 95 % six at most fail with a probability of 0.97; eight and more are wrong intervals."""
     missed = 0

@@ -26,8 +26,15 @@ NOTHING = ("record_001000", "record_001002")
 SINGLE = ("record_001004", "record_001014", "record_001015")
 PAIR, OUTSIDE = "record_001016", "record_001018"
 FAULTS = ("record_001020", "record_001021", "record_001022", "record_001023")
+#: one of the single effects, and one record of each other kind at least, are explained wherever these tests run
+LONGEST = SINGLE[1:]
 #: seconds that a record may take on a machine that does much else, compilation included
 pytestmark = [pytest.mark.long, pytest.mark.timeout(900)]
+
+
+def each(*names: str):
+    """Parameters of a test, those of the longest records for all tests alone."""
+    return [pytest.param(name, marks=[pytest.mark.thorough] if name in LONGEST else []) for name in names]
 
 
 def path_of(name: str) -> str:
@@ -64,6 +71,7 @@ def test_nothing_is_missing_where_parameters_are_only_wrong(name):
     assert any(row["size"] != "NOT_EXCITED" for row in report["detectability"])
 
 
+@pytest.mark.thorough
 def test_slow_noise_is_nothing_that_is_missing(tmp_path):
     """A development record: with its correlation of 50 ms the noise makes 13 times as much in open loop as if white."""
     pytest.importorskip("mujoco")
@@ -77,7 +85,7 @@ def test_slow_noise_is_nothing_that_is_missing(tmp_path):
     assert report["verdict"] == "NOTHING_MISSING" and report["effects"] == []
 
 
-@pytest.mark.parametrize("name", SINGLE)
+@pytest.mark.parametrize("name", each(*SINGLE))
 def test_the_effect_is_named_with_its_joint(name):
     report = explained(name)
     assert report["verdict"] in ("NAMED", "NAMED_WITH_REMAINDER")
@@ -91,6 +99,7 @@ def test_both_effects_of_a_pair_are_named():
     assert_held_out_falls(report)
 
 
+@pytest.mark.thorough
 def test_a_payload_is_named_beside_a_current_limit_that_is_in_use(tmp_path):
     """A development record: the limit gains twenty thousand times as much as the payload beside it."""
     pytest.importorskip("mujoco")
@@ -124,11 +133,12 @@ def test_faulty_data_get_no_name_but_channel_and_row(name):
     assert right == (True, True, True), report["faults"]
 
 
-@pytest.mark.parametrize("name", (*NOTHING, *SINGLE, PAIR, OUTSIDE, *FAULTS))
+@pytest.mark.parametrize("name", each(*NOTHING, *SINGLE, PAIR, OUTSIDE, *FAULTS))
 def test_a_report_agrees_with_itself(name):
     assert contradictions(explained(name)) == []
 
 
+@pytest.mark.thorough
 def test_most_intervals_hold_the_truth():
     held = {}
     for name in (*SINGLE, PAIR):
@@ -137,6 +147,7 @@ def test_most_intervals_hold_the_truth():
     assert sum(held.values()) >= 0.7 * len(held), held
 
 
+@pytest.mark.thorough
 def test_the_same_record_gives_the_same_report_to_the_byte():
     def text(found):
         lines = report_text(found).splitlines()

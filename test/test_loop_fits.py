@@ -95,6 +95,7 @@ def test_a_fit_comes_back_from_where_parameters_took_the_place_of_an_effect():
     assert fit.from_start(back, known) is back
 
 
+@pytest.mark.thorough
 def test_a_log_without_any_noise_gives_the_truth():
     arm, friction = load_mechanism(), parse_effect("coulomb_friction:joint=2,torque=12")
     # a kind with more to fit comes to its end first here, and turns out to be Coulomb's

@@ -60,7 +60,7 @@ def one_moves(path, *torques):
     )
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 def test_dry_friction_is_named_where_the_joint_moves_now_and_then(tmp_path):
     goals = 0.4 * np.random.default_rng(2).uniform(-1.0, 1.0, 10)
     found = explain(servo_log(tmp_path / "log.csv", lambda t: float(goals[int(t / 3.0)]), 30.0), plant="dfki_pendulum")
@@ -141,7 +141,7 @@ def test_a_joint_that_sticks_is_moved_by_the_torque_that_its_friction_does_not_b
     assert found.position[2, 0] == pytest.approx(left * abs(left) / (2.0 * stop), rel=0.05, abs=0.0)
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 def test_friction_is_named_on_the_joint_that_moves_while_another_rests(tmp_path):
     found = explain(one_moves(tmp_path / "log.csv", 0.6, 0.15), plant="dfki_double_c1")
     torques = {(e.name, e.joint): e.parameters["torque"] for e in found.effects}
@@ -153,7 +153,7 @@ def test_friction_is_named_on_the_joint_that_moves_while_another_rests(tmp_path)
     assert f"torque at least {holds.low:.3g} N.m" in found.sentence
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 def test_fits_from_far_parameters_end_where_that_from_the_truth_does(tmp_path):
     """Where friction holds a joint in most rows, parts of a step of Gauss and Newton lead astray."""
     log = read_for(PENDULUM, all_but_held(tmp_path / "log.csv"))

@@ -35,7 +35,7 @@ def commutation(t, simulator):
     return [0.0, 0.3 * simulator.state[7] * np.sin(2.0 * GEAR * simulator.state[1]), 0.0]
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "volts, axis, way", [(step, "time", "in one step"), (commutation, "motor_angle", "in proportion to the torque")]
 )

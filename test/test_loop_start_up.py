@@ -88,7 +88,7 @@ def of_friction(off=0.0):
     return replace(record(PENDULUM, plant, volts=0.05, noise=2e-4, enable=enable), enable=None)
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 def test_a_drive_that_is_off_at_first_leaves_the_answer_of_the_rest():
     log = of_friction(0.5)
     found = explain(log, plant="pendulum")

@@ -368,7 +368,7 @@ def test_browser_draws_every_figure_of_the_experiments(tmp_path, quick_results):
 # ---------------------------------------------------------------------------------- all of them
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 @pytest.mark.timeout(900)
 def test_all_experiments_give_one_page_and_the_same_json_twice(tmp_path):
     """Twice: every third experiment again, in one process instead of two."""

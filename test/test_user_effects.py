@@ -221,7 +221,7 @@ def test_an_entry_point_of_another_package_is_an_effect(tmp_path):
     assert "motor_cogging" in python(program, PYTHONPATH=path)
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "effect, joint",
     [("motor_cogging:joint=3,amplitude=2.5,order=4,phase=1.0", 3), ("gear_hysteresis:joint=2,torque=9,travel=0.04", 2)],

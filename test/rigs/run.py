@@ -278,7 +278,7 @@ def _parser() -> argparse.ArgumentParser:
         "--limit", type=float, default=1800.0, metavar="S", help="seconds an explanation may take (default %(default)g)"
     )
     parser.add_argument("--data", metavar="FOLDER", help=f"folder of the logs (default: {VARIABLE})")
-    parser.add_argument("--docs", metavar="FILE", help="page whose table is replaced, such as docs/rigs.md")
+    parser.add_argument("--docs", metavar="FILE", help="page whose table is replaced, such as docs/rigs_start.md")
     parser.add_argument("--rigs", default=str(catalogue.RIGS), metavar="FILE", help="another list of machines")
     return parser
 
