@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from puma_sim_core.identify.checks.gate import Checked, check
+from puma_sim_core.identify.data.coarse_clock import evenly_stamped
 from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.data.sampling import sample
 from puma_sim_core.identify.link_side.terms import BACKLASH, ELASTICITY, LAG
@@ -68,6 +69,7 @@ class Overview:
 
 def overview(log: Log, mechanism: Mechanism) -> Overview:
     """Look at a log as `explain` would, without any fit."""
+    log = evenly_stamped(log)
     checked = check(log, mechanism)
     if not checked.parts:
         other = check(replace(log, voltage=log.position, position=log.voltage, quantum=np.zeros(0)), mechanism)

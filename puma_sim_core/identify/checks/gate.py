@@ -29,6 +29,7 @@ from puma_sim_core.identify.checks.row_faults import (
     voltage_spikes,
 )
 from puma_sim_core.identify.checks.undriven import undriven
+from puma_sim_core.identify.data.coarse_clock import evenly_stamped
 from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.data.sampling import shortest_span
 from puma_sim_core.identify.result import Fault
@@ -58,7 +59,7 @@ class Checked:
 def check(log: Log, mechanism: Mechanism) -> Checked:
     """Find the rows of a log that can be used."""
     model = Plausibility(mechanism)
-    whole, notes = _complete(log)
+    whole, notes = _complete(evenly_stamped(log))
     parts: list[Log] = [whole]
     cuts: list[Fault] = []
     for of_rows, find in _STAGES if mechanism.links_known else _OF_SENSORS:

@@ -13,6 +13,14 @@ class Data:
 
     reading_greatest_rows: int = 60_000  #: rows of a log that are read: a minute at 1 kHz takes 3.7 GB (an arm)
 
+    #: stamps of a clock whose ticks are longer than a row: share of a tick by which its ticks may differ, as 15.6 and
+    #: 15.7 ms of one of 15.625 ms do, and the stamps leave a straight line by more than a tick; ticks that there are at
+    #: least; and how often a row with the stamp of the one before has a new position, as a share of how often others
+    #: have: 0 of positions that were read once a tick, 1 of all others
+    clock_even: float = 0.1
+    clock_ticks: int = 30
+    clock_moved: float = 0.5
+
     encoder_changes: int = 20  #: least changes of a position in which an encoder's step is found
     #: fewer show it where they are in at most this share of the rows: a reading without steps changes in every row
     encoder_repeated: float = 0.5
