@@ -43,7 +43,6 @@ LONG = {
     "test_loop_gate": 41,
     "test_bag_recovery": 38,
     "test_thesis_chapter_5_6": 36,
-    "test_excite": 33,
     "test_ros_first_hour": 32,
     "test_ros_viewer": 32,
     "test_ros_soak": 31,
@@ -134,12 +133,13 @@ def _of_nodes(file: str) -> bool:
 
 
 def _shared_out(files: set[str], shares: int) -> dict[tuple[str, bool], int]:
-    """The share of each file with long tests: those of nodes to the last, the others from the longest on, each to the
-    share that has least so far."""
+    """The share of each file with long tests: those of nodes and of the thesis, which have lines of their own, to the
+    last, the others from the longest on, each to the share that has least so far."""
     taken = [0] * shares
     found = {}
-    for file in sorted(files, key=lambda name: (not _of_nodes(name), -LONG.get(name, LONG_OTHERWISE), name)):
-        least = shares - 1 if _of_nodes(file) else taken.index(min(taken))
+    last = {file for file in files if _of_nodes(file) or file.startswith("test_thesis")}
+    for file in sorted(files, key=lambda name: (name not in last, -LONG.get(name, LONG_OTHERWISE), name)):
+        least = shares - 1 if file in last else taken.index(min(taken))
         taken[least] += LONG.get(file, LONG_OTHERWISE)
         found[file, True] = least + 1
     return found

@@ -385,14 +385,8 @@ def told(explanation):
     return effect.name, {tie.name for tie in effect.tied_with}
 
 
-@pytest.mark.long
-@pytest.mark.parametrize(
-    "truth",
-    (
-        pytest.param("encoder_offset:joint=1,angle=0.03", marks=pytest.mark.thorough),
-        "voltage_offset:joint=1,voltage=0.15",
-    ),
-)
+@pytest.mark.thorough
+@pytest.mark.parametrize("truth", ("encoder_offset:joint=1,angle=0.03", "voltage_offset:joint=1,voltage=0.15"))
 def test_the_log_of_what_is_written_breaks_the_tie_that_explain_reported(truth, tmp_path):
     """The whole way: a poor log, the command that its report gives, and the log of what that
     wrote, explained."""
