@@ -186,9 +186,9 @@ class Peer:
         self.node.destroy_node()
         rclpy.shutdown(context=self.context)
 
-    def wait_for(self, condition, what: str = "the condition"):
+    def wait_for(self, condition, what: str = "the condition", patience: float = PATIENCE):
         """Spin until `condition()` is true, and return its value."""
-        end = time.monotonic() + PATIENCE
+        end = time.monotonic() + patience
         while not (value := condition()):
             assert time.monotonic() < end, f"{what} did not come"
             self.executor.spin_once(timeout_sec=0.05)

@@ -14,7 +14,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from ros_support import Diagnostics, Node, Peer, environment, step_of
+from ros_support import PATIENCE, Diagnostics, Node, Peer, environment, step_of
 
 from puma_sim_core import jit
 from puma_sim_core.recording.bag import read_bag
@@ -100,7 +100,8 @@ def test_the_node_goes_over_to_the_compiled_model_without_a_change_of_a_bit(cach
             peer.commands.publish(peer.commands.msg_type(data=[0.01 * commands, 0.0, 0.0]))
             return diagnostics()[2]["kernel"] == "numba"
 
-        peer.wait_for(compiled, "the compiled model")
+        # what loads it leaves the processors to all others, and loads the whole kernel
+        peer.wait_for(compiled, "the compiled model", patience=5 * PATIENCE)
         last = step_of(peer.states[-1])
         peer.wait_for(lambda: step_of(peer.states[-1]) > last + 10, "steps")
     assert "the compiled model runs from step" in node.errors
