@@ -115,7 +115,7 @@ def _share(text: str) -> tuple[int, int]:
 
 def pytest_collection_modifyitems(config, items):
     number, of = config.getoption("--share")
-    long = {item: bool(item.get_closest_marker("long")) for item in items}
+    long = {item: any(item.get_closest_marker(mark) for mark in ("long", "thorough")) for item in items}
     shares = _shared_out({item.path.stem for item in items if long[item]}, of)
     for item in items:
         if item.path.stem in QUICK and not long[item]:
