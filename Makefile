@@ -53,7 +53,7 @@ help:
 	@echo "make loop        record a session with a hidden effect, and find and name it from the bag"
 	@echo "make view        show the demonstration in the browser; records it first if it is not there"
 	@echo "make test        run the quick tests, in two processes (WORKERS=2)"
-	@echo "make test-long   run the long tests of CI; make test-all: all tests there are (an hour)"
+	@echo "make test-long   run the long tests of CI; make test-all: all tests there are"
 	@echo "make coverage    lines of the core that the quick tests reach"
 	@echo "make lint        ruff, mypy, import-linter, codespell"
 	@echo "make docs        build the documentation site in build/docs; warnings are errors"
