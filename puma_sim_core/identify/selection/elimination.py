@@ -233,10 +233,11 @@ class Elimination:
             yield trial, _alike(trial.effect, effect)
 
     def _removed(self, state: SelectionState, number: int) -> Iterator[tuple[Trial, Effect]]:
-        """Trials, on the joint of an effect of the model, that were accepted and are in the model no more."""
+        """Trials, on the joint of an effect of the model, that were accepted and that later ones made needless."""
+        gone = (*state.keys, *state.retracted)
         for stage in state.history:
             trial = stage.accepted
-            if trial is not None and trial.joint == state.keys[number][1] and trial.key not in state.keys:
+            if trial is not None and trial.joint == state.keys[number][1] and trial.key not in gone:
                 yield trial, trial.effect
 
     def _contained(self, state: SelectionState, number: int) -> list[Trial]:

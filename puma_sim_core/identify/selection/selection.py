@@ -89,8 +89,8 @@ class Selection:
         self.conclusion: tuple[Pass, ...] = (
             self.elimination.simplify,
             self.elimination.confirm,
-            self.elimination.withdraw,
             self.finish,
+            self.withdraw,
         )
 
     def run(self, theta: Floats) -> SelectionState:
@@ -151,14 +151,13 @@ class Selection:
         left = [n for n, key in enumerate(state.keys) if key not in keys]
         model = state.model if left or state.retuned is None else state.retuned
         point = Point(model.point.theta, tuple(model.point.effects[n] for n in left))
-        return self.finish(
-            replace(
-                state,
-                model=replace(model, point=point),
-                chosen=tuple(state.chosen[n] for n in left),
-                retracted=(*state.retracted, *keys),
-            )
+        less = replace(
+            state,
+            model=replace(model, point=point),
+            chosen=tuple(state.chosen[n] for n in left),
+            retracted=(*state.retracted, *keys),
         )
+        return _through((self.finish, self.withdraw), less)
 
     # passes
 
@@ -257,6 +256,11 @@ class Selection:
         if state.chosen and state.retuned is not None:
             retuned, _ = fit.to_end(state.retuned.point, (), gain=gain, times=times)
         return replace(state, model=model, jacobian=jacobian, retuned=retuned, trials=())
+
+    def withdraw(self, state: SelectionState) -> SelectionState:
+        """Take out effects that the last fit brought to values of no machine, and fit the others again. A pass."""
+        kept = self.elimination.withdraw(state)
+        return state if kept is state else self.withdraw(self.finish(kept))
 
     # what the passes are made of
 
