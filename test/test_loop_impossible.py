@@ -1,11 +1,13 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Values that no machine has: they are not named, and do not let a verdict say that nothing is missing."""
 
+import numpy as np
 import pytest
 from loop_fits import lacking
 from loop_logs import record
 
-from puma_sim_core.effects import parse_effect
+from puma_sim_core.effects import KINDS, Effect, parse_effect
+from puma_sim_core.effects.screening import reached
 from puma_sim_core.identify import explain
 from puma_sim_core.plant.mechanism_file import load_mechanism
 
@@ -17,6 +19,22 @@ def test_friction_that_would_be_none_in_a_part_of_the_range_is_none_of_a_machine
     for amplitude, refused in ((0.03, False), (0.09, True)):
         effect = parse_effect(f"position_dependent_friction:joint=1,torque=0.05,amplitude={amplitude},angle=3")
         assert ("negative level" in (trials.implausible(effect) or "")) == refused
+
+
+def test_a_part_of_the_range_that_a_log_does_not_visit_counts_as_well():
+    """Seen on the double pendulum, which turns over: a level of 0.01 N.m that varied by 0.19 in its motion."""
+    _, trials, _ = lacking(parse_effect("coulomb_friction:joint=1,torque=0.05"))
+    position, kind = trials.problem.sampled.position[:, 0], KINDS["position_dependent_friction"]
+    motion = float(position.min()), float(position.max())
+    values = {"torque": 0.05, "amplitude": 0.09, "angle": sum(motion) / 2.0}
+    reach = trials.mechanism.ranges[0]
+    assert reach[0] < motion[0] and motion[1] < reach[1]
+    assert 0.05 + 0.09 * np.cos((motion[1] - motion[0]) / 2.0) > 0.0
+    assert kind.screening.illegal(values, motion, motion) is None
+    assert "negative level" in trials.implausible(Effect(kind, 1, values))
+    # of a joint that reaches no further it may be
+    assert reached((np.nan, np.nan), motion) == reached((0.0, 0.0), motion) == motion
+    assert reached((motion[0] - 1.0, motion[1] - 1.0), motion) == (motion[0] - 1.0, motion[1])
 
 
 def test_a_spring_that_a_fit_took_far_outside_the_motion_is_a_constant_torque():

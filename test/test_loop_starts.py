@@ -163,7 +163,7 @@ def test_a_spring_whose_torque_varies_by_less_than_half_of_its_mean_is_a_constan
     torques = [low - angle, high - angle]
     assert (abs(torques[1] - torques[0]) < 0.5 * abs(sum(torques)) / 2.0) == refused
     illegal = KINDS["joint_spring"].screening.illegal
-    assert (illegal({"stiffness": 30.0, "angle": angle}, low, high) is not None) == refused
+    assert (illegal({"stiffness": 30.0, "angle": angle}, (low, high), (-9.0, 9.0)) is not None) == refused
 
 
 def test_a_start_about_which_the_model_cannot_be_run_is_none():

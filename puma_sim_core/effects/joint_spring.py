@@ -4,7 +4,7 @@
 import numpy as np
 
 from puma_sim_core.effects.base import PLACE, RATE, TORQUE, Kind, Law, Parameter, Point
-from puma_sim_core.effects.screening import Candidate, Illegal, Screening, Signals, Values
+from puma_sim_core.effects.screening import Candidate, Illegal, Screening, Signals, Span, Values
 from puma_sim_core.effects.shared.columns import candidate, on_joint, positive, whole_range
 from puma_sim_core.jit import Table, inlined
 
@@ -27,7 +27,7 @@ def spring(signals: Signals, joint: int) -> list[Candidate]:
     def values(c: np.ndarray) -> dict[str, float]:
         stiffness = positive(c[0], "stiffness", "N.m/rad", 60.0 * unit)
         found = {"stiffness": stiffness, "angle": middle - float(c[1]) / max(stiffness, 1e-12)}
-        reason = far(found, low, high)
+        reason = far(found, (low, high), (low, high))
         if reason is not None:
             raise Illegal(reason)
         return found
@@ -36,10 +36,11 @@ def spring(signals: Signals, joint: int) -> list[Candidate]:
     return [candidate(columns, [2.0 * unit, 0.0], [3.0 * unit, 1.5 * scale], values)]
 
 
-def far(values: Values, low: float, high: float) -> str | None:
-    """Where the spring's torque varies by less than half of its mean over the range `low` to `high`, and is told from a
-    constant one by nothing else; None where it varies by more. With R the range and d from there to where it is slack
+def far(values: Values, motion: Span, _: Span) -> str | None:
+    """Where the spring's torque varies by less than half of its mean over the motion, and is told from a constant one
+    by nothing else; None where it varies by more. With R the span of the motion and d from there to where it is slack
     the two are K R and K (d + R/2), so that d is 1.5 R."""
+    low, high = motion
     angle, beyond = values["angle"], 1.5 * (high - low)
     if low - beyond <= angle <= high + beyond:
         return None

@@ -6,8 +6,8 @@ from math import cos, pi
 import numpy as np
 
 from puma_sim_core.effects.base import PLACE, SIZE, TORQUE, Kind, Law, Parameter, Point
-from puma_sim_core.effects.screening import Candidate, Illegal, Screening, Signals, Values
-from puma_sim_core.effects.shared.columns import candidate, on_joint, polar, when_moving
+from puma_sim_core.effects.screening import Candidate, Illegal, Screening, Signals, Span, Values
+from puma_sim_core.effects.shared.columns import candidate, on_joint, polar, when_moving, whole_range
 from puma_sim_core.effects.shared.dry_friction import direction_of, level, level_parameter, level_prior, shape_prior
 from puma_sim_core.jit import Table, inlined
 
@@ -36,13 +36,13 @@ def position_dependent(signals: Signals, joint: int) -> list[Candidate]:
     """sgn(qd), cos q sgn(qd) and sin q sgn(qd): level F0 + F1 cos(q - f)."""
     scale = float(signals.torque_scale[joint])
     q, direction = signals.position[:, joint], direction_of(signals, joint)
-    low, high = float(q.min()), float(q.max())
+    reach = whole_range(signals, joint)
 
     def values(c: np.ndarray) -> dict[str, float]:
         mean = level(c[0], "mean level", scale)
         amplitude, angle = polar(c[1], c[2])
         found = {"torque": mean, "amplitude": amplitude, "angle": angle}
-        reason = negative(found, low, high)
+        reason = negative(found, reach, reach)
         if reason is not None:
             raise Illegal(reason)
         return found
@@ -51,14 +51,15 @@ def position_dependent(signals: Signals, joint: int) -> list[Candidate]:
     return [candidate(columns, [0.5 * scale, 0.0, 0.0], [scale, 0.5 * scale, 0.5 * scale], values)]
 
 
-def negative(values: Values, low: float, high: float) -> str | None:
-    """Where the level would be negative at positions from `low` to `high`: friction of no machine is none over a part
-    of its range. None where it is not."""
-    visited = np.linspace(low, high, 50)
-    levels = values["torque"] + values["amplitude"] * np.cos(visited - values["angle"])
+def negative(values: Values, _: Span, reach: Span) -> str | None:
+    """Where the level would be negative at a position that the joint can reach: friction of no machine is none over a
+    part of its range, whatever part of that a log visits. None where it is not."""
+    low, high = reach
+    places = np.linspace(low, min(high, low + 2.0 * pi), 50)
+    levels = values["torque"] + values["amplitude"] * np.cos(places - values["angle"])
     if levels.min() >= -_NEGATIVE * levels.max():
         return None
-    return f"negative level {levels.min():.3g} N.m at q = {visited[levels.argmin()]:.3g} rad"
+    return f"negative level {levels.min():.3g} N.m at q = {places[levels.argmin()]:.3g} rad"
 
 
 def coordinates(values: Values, scale: float) -> np.ndarray:

@@ -16,6 +16,8 @@ import numpy as np
 TORQUE_COLUMN, VOLTAGE_COLUMN = "torque", "voltage"
 #: parameters of an effect by name, and arrays (n,) by joint, 0-based: columns, or voltages
 Values = Mapping[str, float]
+#: lowest and highest position [rad or m]
+Span = tuple[float, float]
 ByJoint = dict[int, np.ndarray]
 
 
@@ -85,6 +87,13 @@ class Candidate:
     tried: int = 1
 
 
+def reached(given: Span, seen: Span) -> Span:
+    """Span that a joint can reach: its range, and what a log visits where that is more or no range is known."""
+    if not np.isfinite(given).all() or given[1] <= given[0]:
+        return seen
+    return min(given[0], seen[0]), max(given[1], seen[1])
+
+
 class Illegal(Exception):
     """Fitted coefficients that the effect cannot have: the text says which and why."""
 
@@ -110,8 +119,8 @@ class Screening:
     usual: Callable[[float], tuple[dict[str, float], ...]] | None = None
     #: (names of parameters, values, lowest and highest position of the log) -> those that the log tells of
     fitted: Callable[[list[str], Values, float, float], list[str]] | None = None
-    #: (values, lowest and highest position of the log) -> why no machine has these, None where one may
-    illegal: Callable[[Values, float, float], str | None] | None = None
+    #: (values, span of the log, span that the joint can reach) -> why no machine has these, None where one may
+    illegal: Callable[[Values, Span, Span], str | None] | None = None
     #: (nominal friction torque [N.m]) -> values from which it is tried where anything is missing, whatever screening
     #: says: what all but every geared drive has; None: it is not
     common: Callable[[float], dict[str, float]] | None = None

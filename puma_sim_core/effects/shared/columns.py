@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from puma_sim_core.effects.screening import TORQUE_COLUMN, ByJoint, Candidate, Illegal, Signals
+from puma_sim_core.effects.screening import TORQUE_COLUMN, ByJoint, Candidate, Illegal, Signals, reached
 from puma_sim_core.jit import compiled
 
 #: a share of samples that a column must be different from zero in, else the log does not show it
@@ -140,11 +140,8 @@ def of_travel(signals: Signals, joint: int) -> float:
 
 def whole_range(signals: Signals, joint: int) -> tuple[float, float]:
     """Range of the joint [rad]; what the log visits where that is more or no range is known."""
-    low, high = (float(end) for end in signals.ranges[joint])
-    seen_low, seen_high = travelled(signals, joint)
-    if not np.isfinite([low, high]).all() or high <= low:
-        return seen_low, seen_high
-    return min(low, seen_low), max(high, seen_high)
+    low, high = signals.ranges[joint]
+    return reached((float(low), float(high)), travelled(signals, joint))
 
 
 def smooth_sign(velocity: np.ndarray, noise: float) -> np.ndarray:

@@ -14,7 +14,7 @@ import numpy as np
 
 from puma_sim_core.effects import KINDS, Effect, Kind
 from puma_sim_core.effects.base import Parameter, Role
-from puma_sim_core.effects.screening import Illegal, Values
+from puma_sim_core.effects.screening import Illegal, Values, reached
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.fitting import occam
@@ -397,7 +397,8 @@ class Trials:
         screening = effect.kind.screening
         if screening is None or screening.illegal is None or effect.joint is None:
             return None
-        reason = screening.illegal(effect.values, *self._range(effect.joint))
+        motion = self._range(effect.joint)
+        reason = screening.illegal(effect.values, motion, reached(self.mechanism.ranges[effect.joint - 1], motion))
         return None if reason is None else f"{_IMPOSSIBLE}: {reason}"
 
     def _range(self, joint: int) -> tuple[float, float]:
