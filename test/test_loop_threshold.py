@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from statistics import NormalDist
 from types import SimpleNamespace
 
 import numpy as np
@@ -138,11 +139,21 @@ def test_beside_others_friction_is_judged_in_its_own_direction(name, gain, stays
     assert not judge._asked_for(second, chosen, found)
     added = replace(trial((name, 1), gain), fitted=full)
     chooser = SimpleNamespace(library=KINDS, predictor=CHOOSER.predictor)
-    with_one = replace(state_of([]), model=worse_by(7.9), chosen=(replace(chosen, key=B),))
+    errors = SELECTION.dry_errors if stays else SELECTION.name_errors
+    with_one = replace(state_of([]), model=worse_by(1.96 * errors**2), chosen=(replace(chosen, key=B),))
     assert not Selection._beside(chooser, with_one, added)
-    assert Selection._beside(chooser, replace(with_one, model=bare), added)
+    assert Selection._beside(chooser, replace(with_one, model=worse_by(2.04 * errors**2)), added)
     # the first of a log takes up misfit itself, which all but every drive's friction is a part of
     assert Selection._beside(chooser, replace(with_one, chosen=()), added) is (name == "coulomb_friction")
+
+
+def test_what_nearly_every_joint_has_needs_the_same_probability_from_the_log_and_from_machines():
+    """Ten to one that a joint has dry friction (nine of nine, and Laplace's rule), times the odds of the log."""
+
+    def odds(errors):
+        return NormalDist().cdf(errors) / NormalDist().cdf(-errors)
+
+    assert 10.0 * odds(SELECTION.dry_errors) == pytest.approx(odds(SELECTION.standard_errors), rel=0.01)
 
 
 @pytest.mark.parametrize("chosen", [(), (A,)])

@@ -361,7 +361,7 @@ class Selection:
         rubs = self.library[trial.name].dry and trial.joint not in state.rubbing
         if rubs and not state.chosen:
             return True
-        least = SELECTION.standard_errors if rubs else SELECTION.name_errors
+        least = SELECTION.dry_errors if rubs else SELECTION.name_errors
         return errors_between(self.predictor, trial.model, state.model) > least
 
     def _common(self, accepted: Trial, passing: Sequence[Trial]) -> Trial:
