@@ -26,7 +26,7 @@ DEAD_BAND, SPRING, OFFSET = ("voltage_dead_band", 1), ("joint_spring", 2), ("vol
 BLOW = ("impulse", 1)
 
 
-def told_apart(one, other):
+def told_apart(one, other, errors):
     """Trials whose innovations show what their gains do."""
     return True
 
@@ -34,7 +34,7 @@ def told_apart(one, other):
 def two_effects():
     """Friction on joint 1 with 900 nat, then a spring on joint 2 with 300."""
     first = trial(COULOMB, 900.0)
-    others = [trial(ASYMMETRIC, 901.0), trial(DEAD_BAND, 895.0), trial(SPRING, 40.0), trial(OFFSET, 35.0)]
+    others = [trial(ASYMMETRIC, 901.0), trial(DEAD_BAND, 898.0), trial(SPRING, 40.0), trial(OFFSET, 35.0)]
     others.append(trial(("stribeck_friction", 1), 700.0))
     others.append(trial(("sensor_nonlinearity", 1), 1000.0, validation_gain=-1.0))
     others.append(replace(trial(BLOW, 950.0), problem="it would need an impossible value: width 1, more than 0.15"))
@@ -53,7 +53,7 @@ def test_an_effect_has_its_gain_over_the_model_without_it_everywhere():
     assert (rows[COULOMB].evidence, rows[COULOMB].verdict) == (900.0, "named")
     # what could stand in for an effect: its gain in that place, not beside it
     assert (rows[OFFSET].evidence, rows[OFFSET].verdict, rows[OFFSET].against) == (298.0, "tied", SPRING)
-    assert (rows[DEAD_BAND].evidence, rows[DEAD_BAND].against) == (895.0, COULOMB)
+    assert (rows[DEAD_BAND].evidence, rows[DEAD_BAND].against) == (898.0, COULOMB)
     # of another joint: what it would add to all that was found
     other = rows["quadratic_friction", 3]
     assert (other.evidence, other.against) == (4.0, None) and other.verdict == "below the threshold of 16 nat"
@@ -88,13 +88,48 @@ def test_a_tie_is_a_difference_that_the_log_cannot_show(best, other, wanted):
 
 
 def test_what_does_not_fit_clearly_better_is_tied_however_much_its_gain():
-    def clearly(one, other):
-        assert one.gain > other.gain
+    def clearly(one, other, errors):
+        assert one.gain > other.gain and errors == 2.0
         return other.key == OFFSET
 
     best, near, far = trial(COULOMB, 900.0), trial(DEAD_BAND, 700.0), trial(OFFSET, 700.0)
     assert cannot_tell(best, near, clearly) and cannot_tell(near, best, clearly)
     assert not cannot_tell(best, far, clearly) and not cannot_tell(far, best, clearly)
+
+
+@pytest.mark.parametrize("key, errors", [(COULOMB, 0.88), (ASYMMETRIC, 0.88), (OFFSET, 2.0)])
+@pytest.mark.parametrize("rubbing", [False, True])
+@pytest.mark.parametrize("nat, near", [(1.4, True), (1.7, False), (7.9, False), (8.1, False)])
+def test_dry_friction_has_the_odds_of_machines_beside_what_is_none(key, errors, rubbing, nat, near):
+    """The first of a joint is tied where it gains 8 nat x (0.88 / 2)^2 = 1.55 more, or fits better by 0.88 errors."""
+    asked = []
+
+    def clearly(one, other, errors):
+        asked.append(errors)
+        return True
+
+    threshold = replace(Threshold.alike(16.0), rubbing=frozenset({1}) if rubbing else frozenset())
+    named, rival = trial(key, 100.0), trial((DEAD_BAND[0], key[1]), 100.0 - nat)
+    stage = Stage((named, rival), threshold, None, named)
+    rows = standings(state_of((stage,), named), clearly)
+    if rubbing or errors == 2.0:
+        errors, near = 2.0, nat < 8.0
+    assert (rows[1].verdict == "tied") is near and asked == ([] if near else [errors])
+    # another dry friction has the same odds
+    if key == COULOMB:
+        stage = Stage((named, trial(("load_dependent_friction", 1), 94.0)), threshold, None, named)
+        assert standings(state_of((stage,), named), clearly)[1].verdict == "tied"
+
+
+def test_what_contains_another_was_named_by_its_errors():
+    """Its evidence, which it has less its Occam factor, says no more of the two; that of any other does."""
+    rich, simple, other = trial(ASYMMETRIC, 100.0), trial(COULOMB, 97.0), trial(("stribeck_friction", 1), 97.0)
+    stage = Stage((rich, simple, other), replace(Threshold.alike(16.0), rubbing=frozenset({1})), None, rich)
+    rows = {row.key: row.verdict for row in standings(state_of((stage,), rich), told_apart)}
+    assert rows[COULOMB].startswith("lower than asymmetric Coulomb friction by 3 nat")
+    assert rows["stribeck_friction", 1] == "tied"
+    rows = {row.key: row.verdict for row in standings(state_of((stage,), rich), lambda *_: False)}
+    assert rows[COULOMB] == "tied"
 
 
 def test_what_replaced_another_is_compared_by_the_trial_that_was_accepted():
@@ -104,7 +139,7 @@ def test_what_replaced_another_is_compared_by_the_trial_that_was_accepted():
     stage = Stage((accepted, third, rival), Threshold.alike(16.0), None, accepted)
     compared = []
 
-    def clearly(one, other):
+    def clearly(one, other, errors):
         compared.append((one.key, other.key))
         return True
 
@@ -118,7 +153,7 @@ def test_what_no_machine_has_is_no_rival():
     found = rivals(replace(e, ranking=tuple(each for each in e.ranking if each.joint == 1)))
     assert [(each.name, lead(e, each)) for each in found] == [
         ("sensor_nonlinearity", -100.0),
-        ("voltage_dead_band", 5.0),
+        ("voltage_dead_band", 2.0),
     ]
 
 

@@ -43,7 +43,7 @@ from puma_sim_core.identify.selection.cross_validation import CrossValidation, W
 from puma_sim_core.identify.selection.selection import Selection
 from puma_sim_core.identify.selection.state import SelectionState
 from puma_sim_core.identify.settings import CHECKS, RESIDUALS
-from puma_sim_core.identify.standing import NAMED, TIED, clearly, standings
+from puma_sim_core.identify.standing import NAMED, TIED, better_by, standings
 from puma_sim_core.jit import is_compiled
 from puma_sim_core.plant.mechanism import Mechanism
 from puma_sim_core.plant.mechanism_file import load_mechanism
@@ -293,7 +293,7 @@ class Stages:
         Of these, and of what is tied with them, it is that in the model without any, and no larger than the one found.
         """
         self.progress("what could have been seen", 0.93)
-        tried = standings(state, partial(clearly, self.predictor))
+        tried = standings(state, partial(better_by, self.predictor))
         alike = {row.key: row.trial.effect for row in tried if row.verdict in (NAMED, TIED)}
         alike |= dict(zip(state.keys, state.model.point.effects))
         fit, bare = self.fit(state), state.weighted_retuned.fitted

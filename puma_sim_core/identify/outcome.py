@@ -20,7 +20,7 @@ from puma_sim_core.identify.residuals.shape import Curve, describe
 from puma_sim_core.identify.residuals.unnamed import remainder
 from puma_sim_core.identify.selection.state import SelectionState
 from puma_sim_core.identify.settings import FITTING, RESIDUALS
-from puma_sim_core.identify.standing import Standing, clearly, ranking, ruled_out, standings, ties
+from puma_sim_core.identify.standing import Standing, better_by, ranking, ruled_out, standings, ties
 from puma_sim_core.pages.text import effect_name, plain_quantity, scale
 from puma_sim_core.plant.mechanism import Mechanism
 
@@ -58,7 +58,7 @@ def fault_sentence(faults: list[result.Fault]) -> str:
 def compose(found: Findings) -> result.Explanation:
     """The explanation from all stages."""
     s, m = found.state, found.prepared.problem.mechanism
-    rows = standings(s, partial(clearly, found.prepared.predictor))
+    rows = standings(s, partial(better_by, found.prepared.predictor))
     names = _named(found, rows)
     volts = found.errors["fit"].voltage_rms
     unnamed = remainder(s, found.curves, found.chance, np.asarray(volts.augmented) / volts.floor)

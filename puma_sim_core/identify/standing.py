@@ -11,19 +11,19 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from puma_sim_core.effects import KINDS
-from puma_sim_core.identify.fitting.dispersion import clearly_better
+from puma_sim_core.identify.fitting.dispersion import errors_between
 from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.fitting.trials import Trial
 from puma_sim_core.identify.result import Hypothesis, Ranked, RuledOut
 from puma_sim_core.identify.screening.evidence import Key
 from puma_sim_core.identify.selection.state import Chosen, SelectionState, Stage
-from puma_sim_core.identify.settings import FITTING
+from puma_sim_core.identify.settings import FITTING, SELECTION
 from puma_sim_core.pages.text import effect_name
 
 NAMED, TIED = "named", "tied"
 
-#: whether the first trial of a stage fits clearly better than the second
-Better = Callable[[Trial, Trial], bool]
+#: whether the first trial of a stage fits better than the second by more than so many standard errors
+Better = Callable[[Trial, Trial, float], bool]
 
 
 @dataclass(frozen=True)
@@ -94,16 +94,26 @@ def _in_place(state: SelectionState, key: Key, better: Better) -> Standing | Non
     return found[order.index(min(order))][0] if found else None
 
 
-def clearly(predictor: Predictor, one: Trial, other: Trial) -> bool:
-    """Whether one of two trials of a stage fits clearly better, in the noise of that stage."""
-    return clearly_better(predictor, one.model, other.model)
+def better_by(predictor: Predictor, one: Trial, other: Trial, errors: float) -> bool:
+    """Whether one of two trials of a stage fits better by more than so many standard errors, in its noise."""
+    return errors_between(predictor, one.model, other.model) > errors
 
 
-def tied(one: Trial, other: Trial, better: Better) -> bool:
-    """Whether the log cannot tell two trials of a stage apart."""
-    less, more = sorted((one, other), key=lambda t: t.gain)
-    near = more.gain - less.gain < max(FITTING.tie, FITTING.tie_share * more.gain)
-    return near or not better(more, less)
+def tied(
+    named: Trial, other: Trial, better: Better, errors: float = SELECTION.standard_errors, contains: bool = False
+) -> bool:
+    """Whether the log cannot tell an effect of a stage from another one.
+
+    errors : by how many standard errors the one that is named must fit better; contains : whether it contains the
+    other: then these decided that it was named, and its evidence says no more of the two.
+    """
+    less, more = sorted((named, other), key=lambda t: t.gain)
+    ahead = more is named
+    errors = errors if ahead else SELECTION.standard_errors
+    # of a true model a gain goes with the square of its standard errors
+    nearest = max(FITTING.tie * (errors / SELECTION.standard_errors) ** 2, FITTING.tie_share * more.gain)
+    near = not (contains and ahead) and more.gain - less.gain < nearest
+    return near or not better(more, less, errors)
 
 
 def _on_one_joint(one: Key, other: Key) -> bool:
@@ -125,7 +135,7 @@ def _beside(chosen: Chosen, trial: Trial, better: Better) -> Standing:
         verdict = f"it contains {named}, which is enough"
     elif math.isnan(evidence):
         verdict = f"with all that was found in the model, {named} explains more"
-    elif tied(replace(reference, gain=chosen.gain), replace(trial, gain=evidence), better):
+    elif tied(replace(reference, gain=chosen.gain), replace(trial, gain=evidence), better, *_asked(chosen, trial)):
         verdict = TIED
     elif evidence > chosen.gain:
         other = "too little of it acts in the validation set"
@@ -136,6 +146,17 @@ def _beside(chosen: Chosen, trial: Trial, better: Better) -> Standing:
         told = KINDS[chosen.key[0]].told_from(KINDS[trial.name].first)
         verdict += f": {told}" if told else ""
     return Standing(trial.key, evidence, verdict, chosen.key, trial.problem is None, trial)
+
+
+def _asked(chosen: Chosen, trial: Trial) -> tuple[float, bool]:
+    """By how many standard errors an effect must fit better than a trial that could take its place, and whether it
+    contains that one.
+
+    The first dry friction of a joint has the odds that machines give it, beside what is none.
+    """
+    common = chosen.stage.threshold.rubs(chosen.key) and not KINDS[trial.name].dry
+    contains = trial.name in KINDS[chosen.key[0]].special_cases and trial.joint == chosen.key[1]
+    return SELECTION.dry_errors if common else SELECTION.standard_errors, contains
 
 
 def _added(state: SelectionState, stage: Stage, trial: Trial) -> Standing:
