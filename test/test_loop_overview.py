@@ -78,6 +78,7 @@ TITLES = "Rig 4,run of May,\n2nd axis held\n"
     [
         ("", "s,V,rad", (1.0, 1.0, 1.0)),
         (TITLES, "", (1.0, 1.0, 1.0)),
+        ("Rig 4,2026\n2026-11-28T09:00:00,second run\n", "", (1.0, 1.0, 1.0)),
         (TITLES, "[ms],(mV),deg", (1e-3, 1e-3, np.pi / 180.0)),
         ("", ",mV,", (1.0, 1e-3, 1.0)),
     ],
@@ -108,6 +109,13 @@ def test_a_second_header_that_is_no_line_of_units_is_refused_by_its_line(file, l
     with pytest.raises(RecordingError, match=f"line 2, .*{words}") as error:
         read_log(file, joints=1)
     assert "begins with #" in str(error.value)
+
+
+def test_of_two_lines_of_names_the_one_with_the_channels_is_told(file):
+    file.write_text("t_ms,motor,encoder\ntime,voltage1,position1\n0,1,2\n")
+    with pytest.raises(RecordingError, match="line 1: channel 'time' is missing.*Line 2 has it: leave one") as error:
+        read_log(file, joints=1)
+    assert "By their names" not in str(error.value)
 
 
 @pytest.mark.parametrize(

@@ -225,9 +225,15 @@ def _title(lines: Sequence[str]) -> int:
     """How many lines of text stand before the names: each has fewer fields than these."""
     place, most = 0, 0
     for n, line in enumerate(lines):
-        fields = [field for field in map(str.strip, next(csv.reader([line], delimiter=_delimiter(line)))) if field]
-        if any(map(_number, fields)):
-            break
-        if len(fields) > most:
-            place, most = n, len(fields)
+        if any(2 * numbers > count for count, numbers in (_counts(line, between) for between in _DELIMITERS)):
+            break  # a row, most of whose fields are numbers
+        count, _ = _counts(line, _delimiter(line))
+        if count > most:
+            place, most = n, count
     return place
+
+
+def _counts(line: str, delimiter: str) -> tuple[int, int]:
+    """How many fields of a line are not empty, and how many of these are numbers or dates."""
+    fields = [field for field in map(str.strip, next(csv.reader([line], delimiter=delimiter))) if field]
+    return len(fields), sum(_number(field) or _DATE.fullmatch(field) is not None for field in fields)

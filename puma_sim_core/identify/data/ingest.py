@@ -153,7 +153,10 @@ def _taken(
             expected = f"a column of that name or one given as {channel}=COLUMN; there are {there}"
             expected += f". The plant has {joints} joints; --plant names another" if joints > 1 else ""
             named = ",".join(f"{ours}={theirs}" for ours, theirs in suggested(rows.names, inputs, links).items())
-            expected += f". By their names: --columns {named}" if named and not columns else ""
+            if own_column(channel, rows.units):
+                expected += f". Line {rows.units_line} has it: leave one line of names"
+            elif named and not columns:
+                expected += f". By their names: --columns {named}"
             if len(rows.names) == 1:
                 expected += ". Fields stand between commas, semicolons or tabs"
             raise RecordingError(f"channel '{channel}' is missing", where=where, expected=expected)
