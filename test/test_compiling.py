@@ -104,6 +104,29 @@ def test_compiling_ahead_does_not_wait_for_a_process_behind_others(begun, tmp_pa
     assert all((tmp_path / part).exists() for part in jit.PARTS)
 
 
+@pytest.mark.skipif(jit.compiled_mark("arm") is None, reason="nothing is kept: no numba, or no folder for it")
+def test_the_first_explanation_compiles_nothing():
+    """What `explain` runs of what is kept on the disk is kept by then: the first one waited four seconds for it."""
+    program = """
+import pkgutil, importlib, numba
+import puma_sim_core
+from puma_sim_core.identify import compile_ahead, explain
+for part in compile_ahead._PARTS.values():
+    part()
+for info in pkgutil.walk_packages(puma_sim_core.__path__, "puma_sim_core."):
+    if info.name.startswith(("puma_sim_core.identify", "puma_sim_core.effects", "puma_sim_core.dynamics.runs")):
+        for name, value in vars(importlib.import_module(info.name)).items():
+            kept = isinstance(value, numba.core.dispatcher.Dispatcher) and hasattr(value._cache, "_cache_path")
+            if kept and value.__module__ == info.name:
+                print(info.name, name, len(value.signatures))
+"""
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    found = {name: int(count) for *_, name, count in map(str.split, ran.stdout.splitlines())}
+    assert {"play", "recursion", "_knock", "_terminal_voltages"} <= found.keys()
+    # two are loaded by what calls them, which is compiled itself
+    assert {name for name, count in found.items() if count == 0} <= {"_sliding", "_bent"}
+
+
 def test_a_process_that_fails_is_told_once_and_not_tried_again(begun, tmp_path):
     patient = begun("raise SystemExit(1)", patient=True, parts=("arm",))
     patient.wait()

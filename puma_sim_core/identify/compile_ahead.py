@@ -16,9 +16,11 @@ from puma_sim_core.compiling import lock_in_turn
 from puma_sim_core.control.sample_laws import compile_laws
 from puma_sim_core.dynamics.samples import flat
 from puma_sim_core.effects import KINDS, parse_effect
-from puma_sim_core.effects.base import Stage
+from puma_sim_core.effects.base import VOLTAGE, Stage
 from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.data.sampling import sample
+from puma_sim_core.identify.residuals.shape import play
+from puma_sim_core.identify.screening.hypotheses import candidates, hypotheses
 from puma_sim_core.identify.screening.known_effects import known_voltage
 from puma_sim_core.identify.screening.problem import Problem
 from puma_sim_core.plant.mechanism_file import load_mechanism
@@ -28,10 +30,12 @@ from puma_sim_core.simulation.session_config import COMMAND_INTERFACES, SessionC
 from puma_sim_core.simulation.side_by_side import innovations_side_by_side
 from puma_sim_core.simulation.simulator import Simulator
 from puma_sim_core.simulation.tracking import innovations
+from puma_sim_core.simulation.windows import driven_current
 
-#: an effect with dry friction, and one of two masses
+#: an effect with dry friction, one of two masses, and one of the voltages
 _DRY = next(kind.example for kind in KINDS.values() if kind.stage == Stage.DRY)
 _SOFT = next(kind.example for kind in KINDS.values() if kind.two_masses)
+_AMPLIFIED = next(kind.example for kind in KINDS.values() if kind.acts == VOLTAGE)
 
 
 def _simulated(plant: Plant) -> None:
@@ -69,6 +73,11 @@ def _identified() -> None:
             known_voltage(mechanism.of_plant(plant), theta, signals)
         else:
             innovations_side_by_side([Simulator(plant)], *followed)
+    for kind, joint in hypotheses((kind for kind in KINDS.values() if kind.screening), mechanism):
+        candidates(kind, joint, signals)
+    play(time, np.zeros(len(time), dtype=int), 1.0)
+    amplified = mechanism.plant(theta, [parse_effect(_AMPLIFIED)])
+    driven_current(amplified, time, voltage, 0, position[0], position[0])
 
 
 #: part -> what to run of it
