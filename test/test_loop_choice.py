@@ -16,7 +16,8 @@ from puma_sim_core.identify.checks.wrong_zero import wrong_zeros
 from puma_sim_core.identify.explain import Stages, retracted
 from puma_sim_core.identify.fitting.point import Point
 from puma_sim_core.identify.fitting.prediction import Fitted, PredictionFit
-from puma_sim_core.identify.fitting.trials import Trial, Trials
+from puma_sim_core.identify.fitting.trial import Trial
+from puma_sim_core.identify.fitting.trials import Trials
 from puma_sim_core.identify.residuals.unnamed import Explained, curve_preferred
 from puma_sim_core.identify.screening.evidence import Scored
 from puma_sim_core.identify.selection.elimination import Elimination, _Compared

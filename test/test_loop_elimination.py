@@ -13,7 +13,8 @@ from loop_logs import pieces, record
 from puma_sim_core.effects import KINDS, Effect, parse_effect
 from puma_sim_core.identify.fitting.point import Point
 from puma_sim_core.identify.fitting.prediction import PredictionFit
-from puma_sim_core.identify.fitting.trials import Trial, Trials
+from puma_sim_core.identify.fitting.trial import Trial
+from puma_sim_core.identify.fitting.trials import Trials
 from puma_sim_core.identify.screening.evidence import Scored
 from puma_sim_core.identify.selection.elimination import Elimination
 from puma_sim_core.identify.selection.selection import Selection

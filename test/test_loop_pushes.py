@@ -16,7 +16,7 @@ from puma_sim_core.errors import ParameterError
 from puma_sim_core.identify import explain
 from puma_sim_core.identify.fitting.point import Point
 from puma_sim_core.identify.fitting.prediction import Fitted
-from puma_sim_core.identify.fitting.trials import Trial
+from puma_sim_core.identify.fitting.trial import Trial
 from puma_sim_core.identify.screening.evidence import Scored
 from puma_sim_core.identify.screening.hypotheses import open_to
 from puma_sim_core.identify.selection.state import Chosen, SelectionState, Stage, Threshold

@@ -12,7 +12,7 @@ import pytest
 from puma_sim_core.effects import KINDS
 from puma_sim_core.identify.fitting.point import Point
 from puma_sim_core.identify.fitting.prediction import Fitted
-from puma_sim_core.identify.fitting.trials import Trial
+from puma_sim_core.identify.fitting.trial import Trial
 from puma_sim_core.identify.screening.evidence import Scored
 from puma_sim_core.identify.selection.selection import Selection
 from puma_sim_core.identify.selection.state import Chosen, SelectionState, Threshold

@@ -182,6 +182,26 @@ def test_the_first_dry_friction_of_a_joint_acts_wherever_it_moves():
     assert rubbing.needed(trial(("stribeck_friction", 1), 20.0, **untried)) == SELECTION.least_untried
 
 
+@pytest.mark.parametrize(
+    "gain, eased, asked",
+    [
+        # priors that give 18 nat less an Occam factor of 3, where a name needs 16
+        (17.5, 20.0, SELECTION.least_gain),
+        (17.5, 18.0, SELECTION.least_untried),
+        # rows that lose some of it again
+        (15.0, 20.0, SELECTION.least_untried),
+        (30.0, 0.0, SELECTION.least_untried),
+    ],
+)
+def test_of_what_the_priors_ask_for_no_rows_say_anything(gain, eased, asked):
+    """Seen on a payload of 1.5 kg that links of other masses could replace, 4.9 deviations of their priors away."""
+    stage = Stage((), Threshold.alike(SELECTION.least_gain), fitted())
+    payload = replace(trial(("payload", None), gain, validation_gain=FITTING.untried), eased=eased)
+    assert stage.needed(payload) == asked
+    # where the validation set says something of it, that is heard
+    assert stage.needed(replace(payload, validation_gain=9.0)) == SELECTION.least_gain
+
+
 def test_what_the_best_contains_may_stand_where_that_does_not_pass():
     """Anything else in its place must gain nearly as much."""
     best = trial(("position_dependent_friction", 1), 50.0)

@@ -7,7 +7,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from loop_fits import lacking, tried
 
+from puma_sim_core.effects import parse_effect
 from puma_sim_core.identify.fitting.pieces import clearly_above_zero, pieces
 from puma_sim_core.identify.fitting.prediction import PredictionFit
 from puma_sim_core.identify.fitting.trials import Trials
@@ -57,3 +59,15 @@ def test_a_loss_within_chance_says_nothing_of_an_effect():
     assert validation_gain(np.array([20.0, 15.0, -30.0, 12.0, 18.0])) == pytest.approx(35.0)
     # what all but nothing acts on
     assert validation_gain(np.array([0.001, -0.001, 0.0])) == FITTING.untried
+
+
+def test_a_trial_tells_what_the_priors_of_the_parameters_gain():
+    """All of the gain is that of the rows, of the priors, and the Occam factor."""
+    base, trials, _ = lacking(parse_effect("coulomb_friction:joint=1,torque=0.03"))
+    one = tried(base, trials, "coulomb_friction:joint=1,torque=0.02")
+    rows = 0.5 * sum(
+        sign * float((m.errors[base.fit.rows] ** 2).sum()) for sign, m in ((1, base.model), (-1, one.model))
+    )
+    assert one.eased > 0.0  # without friction the parameters were strained
+    assert one.gain == pytest.approx(rows + one.eased - one.occam, rel=1e-9)
+    assert one.without_rows == one.eased - one.occam < one.gain

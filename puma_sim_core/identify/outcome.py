@@ -14,7 +14,7 @@ from puma_sim_core.identify import result
 from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.experiment.next_experiment import next_experiment
 from puma_sim_core.identify.fitting.predictor import Predictor
-from puma_sim_core.identify.fitting.trials import Trial
+from puma_sim_core.identify.fitting.trial import Trial
 from puma_sim_core.identify.prepare import Prepared
 from puma_sim_core.identify.residuals.shape import Curve, describe
 from puma_sim_core.identify.residuals.unnamed import remainder

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from puma_sim_core.effects import KINDS
 from puma_sim_core.identify.fitting.dispersion import errors_between
 from puma_sim_core.identify.fitting.predictor import Predictor
-from puma_sim_core.identify.fitting.trials import Trial
+from puma_sim_core.identify.fitting.trial import Trial
 from puma_sim_core.identify.result import Hypothesis, Ranked, RuledOut
 from puma_sim_core.identify.screening.evidence import Key
 from puma_sim_core.identify.selection.state import Chosen, SelectionState, Stage

@@ -41,6 +41,11 @@ class Point:
         """The plant of a mechanism with these parameters and effects."""
         return mechanism.plant(self.theta, self.effects)
 
+    def strain(self, mechanism: Mechanism) -> float:
+        """Half the sum of squares [nat] of the parameters' distances from their start, in deviations of the priors."""
+        far = (self.theta - mechanism.start) / mechanism.deviations
+        return 0.5 * float(far @ far)
+
     def stretched(self, mechanism: Mechanism) -> bool:
         """Whether parameters are farther from their start than their priors allow."""
         return bool(np.any(np.abs(self.theta - mechanism.start) > RESIDUALS.stretched * mechanism.deviations))

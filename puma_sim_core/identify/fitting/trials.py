@@ -1,5 +1,5 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
-"""Hypotheses put into the model one by one, and fitted with all its parameters.
+"""Trials of hypotheses: each put into the model, and fitted with all its parameters.
 
 A trial counts by its gain of log likelihood less the Occam factor, its gain on the validation set, and its sizes.
 """
@@ -23,104 +23,14 @@ from puma_sim_core.identify.fitting.point import Pairs, Point, bounded, with_val
 from puma_sim_core.identify.fitting.prediction import Fitted, PredictionFit, Slopes
 from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.fitting.resolution import unresolved
+from puma_sim_core.identify.fitting.trial import IMPOSSIBLE, Trial
 from puma_sim_core.identify.noise.weighting import Weighting
-from puma_sim_core.identify.screening.evidence import Key, Scored
+from puma_sim_core.identify.screening.evidence import Scored
 from puma_sim_core.identify.screening.problem import Problem
 from puma_sim_core.identify.settings import FITTING, SELECTION
 from puma_sim_core.pages.text import plain_quantity
 
-_IMPOSSIBLE = "it would need an impossible value"
 _NOT_FINITE = "the model with it does not stay finite along the log"
-
-
-@dataclass(frozen=True)
-class Trial:
-    """A hypothesis fitted in the model.
-
-    scored : the hypothesis as screened; gain [nat] : of log likelihood less the Occam factor; validation_gain [nat] :
-    of log likelihood on the validation set; fitted : the model with it, None where it cannot be run; occam [nat] :
-    Occam factor; problem : why it cannot be named, None where it may be.
-    """
-
-    scored: Scored
-    gain: float
-    validation_gain: float
-    fitted: Fitted | None
-    occam: float
-    problem: str | None = None
-
-    @property
-    def name(self) -> str:
-        """Name of the effect."""
-        return self.scored.name
-
-    @property
-    def joint(self) -> int | None:
-        """Joint (1-based), None for the whole arm."""
-        return self.scored.joint
-
-    @property
-    def key(self) -> Key:
-        """(name, joint)."""
-        return self.scored.key
-
-    @property
-    def possible(self) -> bool:
-        """Whether it was fitted and may be named."""
-        return self.fitted is not None and self.problem is None
-
-    @property
-    def impossible(self) -> bool:
-        """Whether it was fitted, and no machine has the values that it would need."""
-        return self.fitted is not None and self.problem is not None and self.problem.startswith(_IMPOSSIBLE)
-
-    @property
-    def explains(self) -> bool:
-        """Whether it was fitted and may be what the log has: an effect, or a wrong zero of any size, which is a fault
-        of the data."""
-        return self.fitted is not None and (self.problem is None or self.effect.kind.shifts_zero)
-
-    @property
-    def effect(self) -> Effect:
-        """The effect as fitted."""
-        return self.model.point.effects[-1]
-
-    @property
-    def model(self) -> Fitted:
-        """The fitted model of a trial that could be run."""
-        assert self.fitted is not None
-        return self.fitted
-
-    def beside(self, effects: Iterable[Effect]) -> Trial | None:
-        """The trial as what a model with these effects lacks: under another name where its own is taken and a joint may
-        have several, None where they have it, or may have no more."""
-        alike = [e for e in effects if e.joint == self.joint and e.kind.name in KINDS[self.name].names]
-        if any(e.kind.most == 1 or self.effect.overlaps(e) for e in alike):
-            return None
-        taken = {e.kind.name for e in alike}
-        name = next((name for name in (self.name, *KINDS[self.name].names) if name not in taken), None)
-        return None if name is None else self.named(name)
-
-    def named(self, name: str) -> Trial:
-        """The same trial under another of the names that a joint may have of its effect."""
-        if name == self.name:
-            return self
-        point = self.model.point
-        effects = (*point.effects[:-1], replace(self.effect, kind=KINDS[name]))
-        model = replace(self.model, point=replace(point, effects=effects))
-        return replace(self, scored=replace(self.scored, name=name), fitted=model)
-
-    @property
-    def vanishing(self) -> bool:
-        """Whether it is as stiff as it may be, and nothing of it left but what it contains."""
-        return self.fitted is not None and any(
-            p.inverse and self.effect.values[p.name] >= p.high for p in self.effect.kind.parameters
-        )
-
-    @property
-    def untried(self) -> bool:
-        """Whether next to nothing of it acts on the validation set."""
-        return self.validation_gain == FITTING.untried
 
 
 @dataclass(frozen=True)
@@ -165,7 +75,7 @@ class Trials:
         try:
             effect = self.effect(scored) if start is None else start.effects[-1]
         except ParameterError as problem:
-            return Trial(scored, 0.0, 0.0, None, scored.occam, f"{_IMPOSSIBLE}: {problem}")
+            return Trial(scored, 0.0, 0.0, None, scored.occam, f"{IMPOSSIBLE}: {problem}")
         number = len(base.model.point.effects)
         free = tuple((number, name) for name in self.names(effect, scored.values))
         screened = base.with_effect(effect)
@@ -273,7 +183,12 @@ class Trials:
         problem = self.problem_of(fit, fitted, len(fitted.point.effects) - 1)
         # the derivatives are the greatest part of it, and what is named is fitted again
         kept = replace(fitted, jacobian=None)
-        return Trial(scored, gain, self.validation_gain(fit, base, fitted, gain), kept, factor, problem)
+        validation_gain = self.validation_gain(fit, base, fitted, gain)
+        return Trial(scored, gain, validation_gain, kept, factor, problem, self.eased(base, fitted))
+
+    def eased(self, base: Fitted, fitted: Fitted) -> float:
+        """By how much [nat] the parameters of a model are strained less than those of another."""
+        return base.point.strain(self.mechanism) - fitted.point.strain(self.mechanism)
 
     @staticmethod
     def validation_gain(fit: PredictionFit, base: Fitted, fitted: Fitted, gain: float) -> float:
@@ -373,9 +288,9 @@ class Trials:
             least, most = low * min(known), high * max(known)
             unit = self.mechanism.unit(parameter.unit)
             size, least_size, most_size = (plain_quantity(each, unit) for each in (value, least, most))
-            less = f"{_IMPOSSIBLE}: {name} {size}, less than any machine has ({least_size})"
+            less = f"{IMPOSSIBLE}: {name} {size}, less than any machine has ({least_size})"
             if abs(value) > FITTING.above_plausible * most and not (parameter.inverse or _from_outside(effect)):
-                return f"{_IMPOSSIBLE}: {name} {size}, more than any machine has ({most_size})"
+                return f"{IMPOSSIBLE}: {name} {size}, more than any machine has ({most_size})"
             if parameter.role is Role.RATE and value < least / FITTING.below_plausible:
                 return less
             if parameter.role is Role.SIZE:
@@ -389,7 +304,7 @@ class Trials:
             parameter, value = effect.kind.parameter(name), effect.values[name]
             for bound in (parameter.low, parameter.high):
                 if bound != 0.0 and abs(value - bound) <= FITTING.at_bound * abs(bound):
-                    return f"{_IMPOSSIBLE}: {name} on the bound {bound:.3g} of what its law allows"
+                    return f"{IMPOSSIBLE}: {name} on the bound {bound:.3g} of what its law allows"
         return None
 
     def _illegal(self, effect: Effect) -> str | None:
@@ -399,7 +314,7 @@ class Trials:
             return None
         motion = self._range(effect.joint)
         reason = screening.illegal(effect.values, motion, reached(self.mechanism.ranges[effect.joint - 1], motion))
-        return None if reason is None else f"{_IMPOSSIBLE}: {reason}"
+        return None if reason is None else f"{IMPOSSIBLE}: {reason}"
 
     def _range(self, joint: int) -> tuple[float, float]:
         """Lowest and highest position of a joint (1-based) in the logs."""

@@ -14,7 +14,8 @@ from puma_sim_core.errors import ParameterError
 from puma_sim_core.identify.fitting.dispersion import clearly_better, dispersion, errors_between
 from puma_sim_core.identify.fitting.point import Point, bounded
 from puma_sim_core.identify.fitting.prediction import Fitted, PredictionFit, Slopes
-from puma_sim_core.identify.fitting.trials import Trial, Trials
+from puma_sim_core.identify.fitting.trial import Trial
+from puma_sim_core.identify.fitting.trials import Trials
 from puma_sim_core.identify.screening.causal import CausalScreen
 from puma_sim_core.identify.screening.evidence import Key
 from puma_sim_core.identify.selection.state import Chosen, SelectionState, Stage, accepting

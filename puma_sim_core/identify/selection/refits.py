@@ -15,7 +15,8 @@ from puma_sim_core.effects.base import Parameter, Role
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.identify.fitting.point import Point, bounded
 from puma_sim_core.identify.fitting.prediction import Fitted, PredictionFit
-from puma_sim_core.identify.fitting.trials import Trial, Trials, unseen
+from puma_sim_core.identify.fitting.trial import Trial
+from puma_sim_core.identify.fitting.trials import Trials, unseen
 from puma_sim_core.identify.parallel import parallel_map
 from puma_sim_core.identify.selection.state import SelectionState
 from puma_sim_core.identify.settings import FITTING, SELECTION
@@ -240,7 +241,8 @@ class Refits:
             if trial.fitted is None:
                 return trial
             validation_gain = self.trials.validation_gain(fit, model, trial.fitted, trial.gain)
-            return replace(trial, gain=trial.gain - less, validation_gain=validation_gain)
+            eased = self.trials.eased(model, trial.fitted)
+            return replace(trial, gain=trial.gain - less, validation_gain=validation_gain, eased=eased)
 
         return replace(state, model=model, jacobian=jacobian, trials=tuple(map(over, state.trials)))
 

@@ -16,7 +16,8 @@ from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.fitting.dispersion import blocks, clearly_better, dispersion, errors_between
 from puma_sim_core.identify.fitting.point import Point
 from puma_sim_core.identify.fitting.prediction import Fitted, PredictionFit
-from puma_sim_core.identify.fitting.trials import Trial, Trials, unseen
+from puma_sim_core.identify.fitting.trial import Trial
+from puma_sim_core.identify.fitting.trials import Trials, unseen
 from puma_sim_core.identify.memory import release
 from puma_sim_core.identify.noise import innovations
 from puma_sim_core.identify.noise.weighting import Weighting

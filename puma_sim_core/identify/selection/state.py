@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from puma_sim_core.effects import KINDS
 from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.fitting.prediction import Fitted
-from puma_sim_core.identify.fitting.trials import Trial
+from puma_sim_core.identify.fitting.trial import Trial
 from puma_sim_core.identify.noise.weighting import Weighting
 from puma_sim_core.identify.screening.evidence import Key
 from puma_sim_core.identify.selection.cross_validation import WeightedModel
@@ -89,9 +89,12 @@ class Stage:
 
     def needed(self, trial: Trial) -> float:
         """The gain [nat] that a trial must have more than: more where the validation set says nothing of it, but for
-        the first dry friction of a joint, which acts wherever the joint moves."""
+        the first dry friction of a joint, which acts wherever the joint moves, and for what the parameters' priors ask
+        for by themselves, of which no rows say anything."""
         asked = self.threshold.of(trial.key)
-        return max(asked, SELECTION.least_untried) if trial.untried and not self.threshold.rubs(trial.key) else asked
+        if not trial.untried or self.threshold.rubs(trial.key) or trial.without_rows > asked:
+            return asked
+        return max(asked, SELECTION.least_untried)
 
 
 @dataclass(frozen=True)
