@@ -70,23 +70,29 @@ def test_what_is_there_lowers_the_error_and_what_is_not_does_not():
 
 
 @pytest.mark.parametrize(
-    "more, density, better",
+    "more, densities, better, as_good",
     [
-        ([-1.0, -1.1, -0.9, -1.0], -5.0, True),  # less error in the windows
-        ([1.0, 1.1, 0.9, 1.0], 5.0, False),  # more of it, beyond two standard errors
-        ([3.0, -1.0, -1.0, 0.0], 5.0, True),  # more of it, within two: the density decides
-        ([3.0, -1.0, -1.0, 0.0], -5.0, False),
-        ([np.nan, np.nan, np.nan, np.nan], -5.0, True),  # nothing to measure it at
+        ([-1.0, -1.1, -0.9, -1.0], [-5.0], True, True),  # less error in the windows
+        ([1.0, 1.1, 0.9, 1.0], [5.0], False, False),  # more of it, beyond two standard errors
+        ([3.0, -1.0, -1.0, 0.0], [5.0], True, True),  # more of it, within two: the density decides
+        ([3.0, -1.0, -1.0, 0.0], [-5.0], False, False),
+        ([3.0, -1.0, -1.0, 0.0], [-5.0, 1.0, 2.0, 1.0], False, True),  # less of it, by chance
+        ([3.0, -1.0, -1.0, 0.0], [-5.0, -6.0, -5.0, -5.0], False, False),  # and beyond
+        ([3.0, -1.0, -1.0, 0.0], [-np.inf, 1.0], False, False),  # a model that cannot be run
+        ([np.nan, np.nan, np.nan, np.nan], [-5.0], True, True),  # nothing to measure it at
     ],
 )
-def test_windows_decide_beyond_two_standard_errors_and_else_the_density(monkeypatch, more, density, better):
+def test_windows_decide_beyond_two_standard_errors_and_else_the_density(monkeypatch, more, densities, better, as_good):
+    """as_good : whether a model passes that need not be better."""
     folds = CrossValidation([None] * 4)
     one, other = SimpleNamespace(name="one"), SimpleNamespace(name="other")
     windows = {"one": [10.0 + m for m in more], "other": [10.0] * 4}
     monkeypatch.setattr(folds, "_points", lambda model: windows[model.name])
     monkeypatch.setattr(folds, "_window_square", lambda fold, point: point)
-    monkeypatch.setattr(folds, "_density", lambda model, points: density if model is one else 0.0)
+    found = {"one": np.array(densities), "other": np.zeros(len(densities))}
+    monkeypatch.setattr(folds, "_densities", lambda model, points: found[model.name])
     assert folds.better(one, other) is better
+    assert folds.better(one, other, as_good=True) is as_good
 
 
 def test_a_noise_that_open_loop_errors_refute_decides_nothing(monkeypatch):
@@ -94,7 +100,7 @@ def test_a_noise_that_open_loop_errors_refute_decides_nothing(monkeypatch):
     windows = {"same": [10.0] * 4, "more": [13.0, 9.0, 9.0, 10.0], "less": [9.0, 9.5, 9.0, 10.0]}
     monkeypatch.setattr(folds, "_points", lambda model: windows[model.name])
     monkeypatch.setattr(folds, "_window_square", lambda fold, point: point)
-    monkeypatch.setattr(folds, "_density", lambda model, points: 5.0 if model.name == "more" else 0.0)
+    monkeypatch.setattr(folds, "_densities", lambda model, points: np.array([5.0 * (model.name == "more")]))
 
     def better(name: str, holds: bool) -> bool:
         asked.clear()

@@ -79,7 +79,7 @@ def compose(found: Findings) -> result.Explanation:
     unseen = [d for d in found.detectability if not d.excited]
     return result.Explanation(
         verdict,
-        _sentence(verdict, names, curve, found.errors, beyond, refuting),
+        _sentence(verdict, names, curve, found.errors, beyond, refuting, _without(m, s)),
         names,
         found.errors,
         curve,
@@ -152,6 +152,7 @@ def _sentence(
     errors: Mapping[str, result.Errors],
     beyond: tuple[int, float] | None,
     refuting: Trial | None,
+    without: str,
 ) -> str:
     if verdict == result.NOTHING_MISSING:
         return "Nothing is missing that this log could show: the retuned model explains it down to its noise."
@@ -171,11 +172,21 @@ def _sentence(
         where = "the whole arm" if e.joint is None else f"joint {e.joint}"
         parts.append(f"{effect_name(e.name, lower=True)} on {where} ({sizes})")
     joints = [None] if any(e.joint is None for e in names) else sorted({e.joint for e in names if e.joint})
-    text = f"The model lacks {' and '.join(parts)}; by parameters fitted to other rows of the logs the residual "
-    text += " and ".join(_change(errors["held_out"].voltage_rms, joint) for joint in joints)
+    text = (
+        f"The model lacks {' and '.join(parts)}{without}; by parameters fitted to other rows of the logs the residual"
+    )
+    text += " " + " and ".join(_change(errors["held_out"].voltage_rms, joint) for joint in joints)
     if verdict == result.NAMED_WITH_REMAINDER and curve is not None:
         text += f"; beside that something on joint {curve.joint} over {curve.axis} is left that has no name"
     return f"{text}; {times}." if times else f"{text}."
+
+
+def _without(m: Mechanism, s: SelectionState) -> str:
+    """What the model would be without effects that the priors of its parameters ask for; "" where the rows do."""
+    if s.retuned is None or not all(chosen.by_priors for chosen in s.chosen):
+        return ""
+    far = float(np.abs((s.retuned.point.theta - m.start) / m.deviations).max())
+    return f"; without, parameters would be up to {far:.1f} standard deviations of their priors off"
 
 
 def _refuted(trial: Trial) -> str:
@@ -196,9 +207,11 @@ def _change(volts: result.StageErrors, joint: int | None) -> str:
     rows = slice(None) if joint is None else slice(joint - 1, joint)
     before, after = (float(np.sqrt(np.mean(each[rows] ** 2))) for each in (volts.retuned, volts.augmented))
     factor, unit = scale([before, after], "V")
-    falls = "falls" if after < before else "goes"
     where = "of all joints" if joint is None else f"of joint {joint}"
-    return f"{where} {falls} from {before * factor:.3g} to {after * factor:.3g} {unit}"
+    shown = [f"{each * factor:.3g}" for each in (before, after)]
+    if shown[0] == shown[1]:
+        return f"{where} stays at {shown[1]} {unit}"
+    return f"{where} {'falls' if after < before else 'goes'} from {shown[0]} to {shown[1]} {unit}"
 
 
 def _exact_ties(names: tuple[result.NamedEffect, ...]) -> list[str]:

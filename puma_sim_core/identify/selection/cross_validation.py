@@ -16,6 +16,7 @@ from functools import partial
 import numpy as np
 
 from puma_sim_core.identify.arrays import Bools, Floats
+from puma_sim_core.identify.fitting.pieces import clearly_above_zero
 from puma_sim_core.identify.fitting.point import Point
 from puma_sim_core.identify.fitting.prediction import Fitted, PredictionFit, Slopes
 from puma_sim_core.identify.fitting.predictor import Predictor, RowChoice
@@ -82,14 +83,21 @@ class CrossValidation:
         NaN without windows."""
         return self._windows(self._points(model))
 
-    def better(self, model: WeightedModel, than: WeightedModel, noise_holds: Callable[[], bool] = lambda: True) -> bool:
+    def better(
+        self,
+        model: WeightedModel,
+        than: WeightedModel,
+        noise_holds: Callable[[], bool] = lambda: True,
+        as_good: bool = False,
+    ) -> bool:
         """Whether a model predicts the folds better than another, or there is nothing to measure it at.
 
         By the mean over the folds of the squared errors in windows. Where it is greater by less than two of its
         standard errors, by the log predictive density of the innovations. Both models have one weighting.
 
         noise_holds : whether the noise may be what the density takes it for; it is asked where the density would
-        decide, and where it does not hold, the model that is worse in the windows is not better.
+        decide, and where it does not hold, the model that is worse in the windows is not better; as_good : the density
+        need not be greater, but may be less by chance alone.
         """
         one, other = self._points(model), self._points(than)
         more = np.array([self._window_square(*pair) for pair in zip(self.folds, one)])
@@ -100,21 +108,25 @@ class CrossValidation:
         error = more.std(ddof=1) / np.sqrt(len(more)) if len(more) > 1 else 0.0
         if more.mean() < 0.0 or more.mean() > SELECTION.standard_errors * error or not noise_holds():
             return bool(more.mean() < 0.0)
-        return self._density(model, one) > self._density(than, other)
+        lost = self._densities(than, other) - self._densities(model, one)
+        if as_good and np.isfinite(lost).all():
+            return not clearly_above_zero(lost)
+        return float(lost.sum()) < 0.0
 
     def _window_square(self, fold: Fold, point: Point) -> float:
         """Mean square [rad^2 or m^2] of the errors in the windows of a fold, of all joints; NaN without windows."""
         errors = fold.validation.window_errors(self._plant(point), "held_out")
         return float((errors**2).mean()) if len(errors) else np.nan
 
-    def _density(self, model: WeightedModel, points: Sequence[Point]) -> float:
-        """Log predictive density [nat] of the folds by the model fitted to the others, but for a constant."""
-        total = 0.0
+    def _densities(self, model: WeightedModel, points: Sequence[Point]) -> Floats:
+        """(k,) log predictive densities [nat] of the pieces of the folds by the model fitted to the others, but for a
+        constant."""
+        found = []
         for fold, point in zip(self.folds, points):
             fit = PredictionFit(fold.predictor, model.weighting)
-            errors = fit.errors(point)
-            total -= np.inf if errors is None else fit.validation_sum(errors)
-        return total
+            errors, never = fit.errors(point), np.full(fold.predictor.fit_rows.shape, np.inf)
+            found.append(-fit.validation_pieces(never if errors is None else errors))
+        return np.concatenate(found)
 
     def errors(self, models: Mapping[str, WeightedModel | Point], floor: NoiseFloor) -> dict[str, Errors]:
         """Tables of errors: "held_out" of all folds, and where there are several "unseen", of the one alone that the

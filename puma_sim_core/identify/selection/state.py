@@ -92,9 +92,13 @@ class Stage:
         the first dry friction of a joint, which acts wherever the joint moves, and for what the parameters' priors ask
         for by themselves, of which no rows say anything."""
         asked = self.threshold.of(trial.key)
-        if not trial.untried or self.threshold.rubs(trial.key) or trial.without_rows > asked:
+        if not trial.untried or self.threshold.rubs(trial.key) or self.by_priors(trial):
             return asked
         return max(asked, SELECTION.least_untried)
+
+    def by_priors(self, trial: Trial) -> bool:
+        """Whether the priors of the parameters ask for a trial by themselves."""
+        return trial.without_rows > self.threshold.of(trial.key)
 
 
 @dataclass(frozen=True)
@@ -129,6 +133,11 @@ class Chosen:
     def trial(self) -> Trial:
         """Its trial in the stage, with the gain that it has."""
         return replace(self.tried, gain=self.gain)
+
+    @property
+    def by_priors(self) -> bool:
+        """Whether the priors of the parameters ask for it by themselves."""
+        return self.stage.by_priors(self.trial)
 
     def named(self, name: str) -> Chosen:
         """The same effect under another of the names that a joint may have of it."""
