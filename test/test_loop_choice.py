@@ -57,9 +57,13 @@ class Chooser:
         return replace(state, model=model, chosen=left, retracted=(*state.retracted, key))
 
 
-def confirmed(errors, first, second):
-    """Effects that stay, and those retracted, by errors {effects: error in cross-validation}."""
-    state = state_of([Stage((t,), Threshold.alike(8.0), None, t) for t in (first, second)], first, second)
+def confirmed(errors, first, second, rubbing=frozenset({1})):
+    """Effects that stay, and those retracted, by errors {effects: error in cross-validation}.
+
+    rubbing : joints that have another dry friction already.
+    """
+    threshold = replace(Threshold.alike(8.0), rubbing=rubbing)
+    state = state_of([Stage((t,), threshold, None, t) for t in (first, second)], first, second)
 
     def lower(model, than, noise_holds, as_good):
         assert than.fitted is state.retuned and noise_holds()
@@ -94,13 +98,14 @@ def test_without_a_lower_error_there_is_no_name():
     assert confirmed(errors(1.0, 1.0, 1.1, 1.2), trial(A, 90.0), trial(B, 30.0)) == ((), (B, A))
 
 
-def test_what_the_priors_ask_for_goes_last_and_need_not_lower_the_error():
+# 20.5 nat of the priors by themselves, where a name needs 8; and what all but every drive has
+@pytest.mark.parametrize("asked, rubbing", [(replace(trial(A, 20.0), eased=23.5), {1}), (trial(A, 20.0), {2})])
+def test_what_is_expected_of_a_machine_goes_last_and_need_not_lower_the_error(asked, rubbing):
     """A payload of 1.5 kg that links of other masses can replace was taken back by a hundredth of the error."""
-    asked = replace(trial(A, 20.0), eased=23.5)  # 20.5 nat without the rows, where a name needs 8
-    assert confirmed(errors(1.0, 1.0, 1.1, 1.0), asked, trial(B, 30.0)) == ((A,), (B,))
-    assert confirmed(errors(1.0, 1.1, 1.1, 1.2), asked, trial(B, 30.0)) == ((), (B, A))
+    assert confirmed(errors(1.0, 1.0, 1.1, 1.0), asked, trial(B, 30.0), rubbing) == ((A,), (B,))
+    assert confirmed(errors(1.0, 1.1, 1.1, 1.2), asked, trial(B, 30.0), rubbing) == ((), (B, A))
     # beside it another one must lower the error all the same
-    assert confirmed(errors(1.0, 1.0, 0.9, 0.9), asked, trial(B, 30.0)) == ((A, B), ())
+    assert confirmed(errors(1.0, 1.0, 0.9, 0.9), asked, trial(B, 30.0), rubbing) == ((A, B), ())
 
 
 PIECES = np.random.default_rng(8).normal(0.0, 1.0, 30)

@@ -102,13 +102,14 @@ def test_a_noise_that_open_loop_errors_refute_decides_nothing(monkeypatch):
     monkeypatch.setattr(folds, "_window_square", lambda fold, point: point)
     monkeypatch.setattr(folds, "_densities", lambda model, points: np.array([5.0 * (model.name == "more")]))
 
-    def better(name: str, holds: bool) -> bool:
+    def better(name: str, holds: bool, as_good: bool = False) -> bool:
         asked.clear()
         models = (SimpleNamespace(name=each) for each in (name, "same"))
-        return folds.better(*models, lambda: bool(asked.append(name)) or holds)
+        return folds.better(*models, lambda: bool(asked.append(name)) or holds, as_good)
 
     assert better("more", True) and asked == ["more"]
     assert not better("more", False) and asked == ["more"]
+    assert better("more", False, as_good=True)  # more by chance
     assert better("less", False) and not asked  # the windows tell: nobody asks for the noise
 
 

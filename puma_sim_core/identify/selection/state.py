@@ -139,6 +139,12 @@ class Chosen:
         """Whether the priors of the parameters ask for it by themselves."""
         return self.stage.by_priors(self.trial)
 
+    @property
+    def expected(self) -> bool:
+        """Whether more asks for it than rows: the priors of the parameters, or machines, as for the first dry friction
+        of a joint."""
+        return self.by_priors or self.stage.threshold.rubs(self.key)
+
     def named(self, name: str) -> Chosen:
         """The same effect under another of the names that a joint may have of it."""
         return replace(self, key=(name, self.key[1]), stage=self.stage.naming(self.tried.named(name)))
