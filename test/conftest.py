@@ -29,34 +29,39 @@ if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
 
 #: seconds that the long tests of a file took, thorough ones left out, when last measured (2026-11-28), where many
 LONG = {
-    "test_docs": 208,
-    "test_ros_appraise": 205,
-    "test_loop_rigs": 116,
-    "test_loop_blind": 113,
-    "test_ros2_cli": 94,
-    "test_explain_many": 71,
-    "test_ros_loop_demo": 65,
-    "test_identify_invariance": 49,
-    "test_view_browser": 47,
-    "test_loop_rest": 46,
-    "test_user_effects": 43,
-    "test_loop_gate": 41,
-    "test_bag_recovery": 38,
-    "test_thesis_chapter_5_6": 36,
-    "test_ros_first_hour": 32,
-    "test_ros_viewer": 32,
-    "test_ros_soak": 31,
-    "test_cli_simulate": 29,
-    "test_appraise": 28,
-    "test_loop_held_out": 26,
-    "test_rigs": 25,
-    "test_loop_pushes": 24,
-    "test_ros_foreign": 23,
-    "test_thesis_report": 23,
-    "test_identification": 20,
+    "test_docs": 361,
+    "test_ros_appraise": 274,
+    "test_ros2_cli": 139,
+    "test_explain_many": 127,
+    "test_loop_blind": 123,
+    "test_bench": 78,
+    "test_loop_gate": 69,
+    "test_bag_recovery": 59,
+    "test_identify_invariance": 54,
+    "test_ros_loop_demo": 54,
+    "test_loop_rigs": 48,
+    "test_cli_simulate": 47,
+    "test_appraise": 47,
+    "test_loop_rest": 47,
+    "test_ros_cold_start": 44,
+    "test_batch": 41,
+    "test_blind_records": 40,
+    "test_view_browser": 38,
+    "test_loop_held_out": 35,
+    "test_loop_pushes": 35,
+    "test_ros_first_hour": 33,
+    "test_identification": 28,
+    "test_ros_soak": 27,
+    "test_user_effects": 27,
+    "test_ros_foreign": 25,
+    "test_loop_agreement": 25,
+    "test_loop_fits": 23,
+    "test_thesis_chapter_5_6": 22,
+    "test_link_side": 22,
+    "test_loop_priors": 32,
 }
 #: of each other file, in the mean
-LONG_OTHERWISE = 9
+LONG_OTHERWISE = 8
 #: files whose quick tests take ten seconds or more
 QUICK = {
     "test_appraisal_margins",
@@ -103,6 +108,13 @@ def pytest_addoption(parser):
         type=_share,
         help="the N-th of M shares of the tests that one interpreter is enough for",
     )
+    parser.addoption(
+        "--ahead",
+        default=(),
+        metavar="S,...",
+        type=_seconds,
+        help="seconds that the process of each share has other work to do before",
+    )
 
 
 def _share(text: str) -> tuple[int, int]:
@@ -113,10 +125,20 @@ def _share(text: str) -> tuple[int, int]:
     return number, of
 
 
+def _seconds(text: str) -> tuple[float, ...]:
+    try:
+        return tuple(map(float, text.split(",")))
+    except ValueError:
+        raise pytest.UsageError(f"--ahead {text}: expected seconds with commas between them") from None
+
+
 def pytest_collection_modifyitems(config, items):
     number, of = config.getoption("--share")
     long = {item: any(item.get_closest_marker(mark) for mark in ("long", "thorough")) for item in items}
-    shares = _shared_out({item.path.stem for item in items if long[item]}, of)
+    ahead = config.getoption("--ahead") or of * (0.0,)
+    if len(ahead) != of:
+        raise pytest.UsageError(f"--ahead has {len(ahead)} shares, --share {of}; expected as many")
+    shares = _shared_out({item.path.stem for item in items if long[item]}, ahead)
     for item in items:
         if item.path.stem in QUICK and not long[item]:
             # of tests of nodes each interpreter has some; the others go where the lines are counted that tests reach
@@ -132,10 +154,10 @@ def _of_nodes(file: str) -> bool:
     return file.startswith("test_ros")
 
 
-def _shared_out(files: set[str], shares: int) -> dict[tuple[str, bool], int]:
+def _shared_out(files: set[str], ahead: tuple[float, ...]) -> dict[tuple[str, bool], int]:
     """The share of each file with long tests: those of nodes and of the thesis, which have lines of their own, to the
-    last, the others from the longest on, each to the share that has least so far."""
-    taken = [0] * shares
+    last, the others from the longest on, each to the share that has least so far. ahead [s] : what each has before."""
+    taken, shares = list(ahead), len(ahead)
     found = {}
     last = {file for file in files if _of_nodes(file) or file.startswith("test_thesis")}
     for file in sorted(files, key=lambda name: (name not in last, -LONG.get(name, LONG_OTHERWISE), name)):

@@ -37,7 +37,7 @@ def collected(folder: Path, *options: str) -> Counter:
         capture_output=True,
         text=True,
     )
-    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.returncode in (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED), done.stdout + done.stderr
     return Counter(line.strip() for line in done.stdout.splitlines() if "::" in line)
 
 
@@ -64,15 +64,32 @@ def test_each_test_is_in_a_share_and_what_takes_long_in_one(folder, shares):
         assert times == (1 if once else shares), test
 
 
-def test_a_share_that_cannot_be_is_refused(folder):
-    for share in ("0/2", "3/2", "half"):
-        done = subprocess.run(
-            [sys.executable, "-m", "pytest", "-q", "--collect-only", "--share", share, str(folder)],
-            cwd=folder,
-            capture_output=True,
-            text=True,
-        )
-        assert done.returncode != 0 and "expected N/M with 1 <= N <= M" in done.stdout + done.stderr
+def test_a_share_whose_process_has_other_work_before_gets_less(folder):
+    """Of files of a length the one that begins late gets none, unless the others have more by then."""
+    long = ("-m", "long", "--ahead", "0,20,0")
+    found = [collected(folder, *long, "--share", f"{n}/3") for n in (1, 2, 3)]
+    assert sum(found, Counter()) == collected(folder, "-m", "long") and not found[1]
+    assert collected(folder, "-m", "long", "--ahead", "20,0,20", "--share", "2/3")
+
+
+@pytest.mark.parametrize(
+    "options, words",
+    [
+        (["--share", "0/2"], "expected N/M with 1 <= N <= M"),
+        (["--share", "3/2"], "expected N/M with 1 <= N <= M"),
+        (["--share", "half"], "expected N/M with 1 <= N <= M"),
+        (["--share", "1/2", "--ahead", "0,1,2"], "--ahead has 3 shares, --share 2; expected as many"),
+        (["--share", "1/2", "--ahead", "0;1"], "--ahead 0;1: expected seconds with commas between them"),
+    ],
+)
+def test_a_share_that_cannot_be_is_refused(folder, options, words):
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "--collect-only", *options, str(folder)],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode != 0 and words in done.stdout + done.stderr
 
 
 def test_files_that_take_long_are_files_of_the_tests():
