@@ -369,13 +369,13 @@ def retracted(
 ) -> SelectionState:
     """The selection without the effects, weakest first, that do not predict better in cross-validation.
 
-    What is expected of a machine goes last, and need not predict better: not worse by more than chance. noise_holds :
+    What something else speaks for goes last, and need not predict better: not worse by more than chance. noise_holds :
     whether errors in open loop are of the size that the noise of a state makes.
     """
     while state.chosen:
-        as_good = all(chosen.expected for chosen in state.chosen)
+        as_good = all(chosen.spoken_for for chosen in state.chosen)
         if folds.better(state.weighted, state.weighted_retuned, partial(noise_holds, state), as_good):
             break
-        weakest = min(state.chosen, key=lambda chosen: (chosen.expected, chosen.gain))
+        weakest = min(state.chosen, key=lambda chosen: (chosen.spoken_for, chosen.gain))
         state = selection.without(state, weakest.key)
     return state

@@ -140,10 +140,10 @@ class Chosen:
         return self.stage.by_priors(self.trial)
 
     @property
-    def expected(self) -> bool:
-        """Whether more asks for it than rows: the priors of the parameters, or machines, as for the first dry friction
-        of a joint."""
-        return self.by_priors or self.stage.threshold.rubs(self.key)
+    def spoken_for(self) -> bool:
+        """Whether something else than other rows asks for it: the priors of the parameters, machines, as for the first
+        dry friction of a joint, or its place, as for a push, which happens once and must stand out in its log."""
+        return self.by_priors or self.stage.threshold.rubs(self.key) or not KINDS[self.key[0]].repeatable
 
     def named(self, name: str) -> Chosen:
         """The same effect under another of the names that a joint may have of it."""
