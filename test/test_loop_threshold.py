@@ -198,6 +198,9 @@ def test_of_what_the_priors_ask_for_no_rows_say_anything(gain, eased, asked):
     stage = Stage((), Threshold.alike(SELECTION.least_gain), fitted())
     payload = replace(trial(("payload", None), gain, validation_gain=FITTING.untried), eased=eased)
     assert stage.needed(payload) == asked
+    assert stage.by_priors(payload) is (asked == SELECTION.least_gain)
+    # nor is it theirs where the rows ask for as much
+    assert not stage.by_priors(replace(payload, gain=gain + SELECTION.least_gain + 3.0))
     # where the validation set says something of it, that is heard
     assert stage.needed(replace(payload, validation_gain=9.0)) == SELECTION.least_gain
 

@@ -102,6 +102,11 @@ class Trial:
         )
 
     @property
+    def of_rows(self) -> float:
+        """Gain of log likelihood [nat] by the rows to fit."""
+        return self.gain + self.occam - self.eased
+
+    @property
     def without_rows(self) -> float:
         """Gain [nat] that is left without what the rows to fit gain: that of the parameters' priors."""
         return min(self.gain, self.eased - self.occam)

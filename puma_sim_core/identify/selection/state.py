@@ -97,8 +97,8 @@ class Stage:
         return max(asked, SELECTION.least_untried)
 
     def by_priors(self, trial: Trial) -> bool:
-        """Whether the priors of the parameters ask for a trial by themselves."""
-        return trial.without_rows > self.threshold.of(trial.key)
+        """Whether the priors of the parameters ask for a trial by themselves, and the rows do not."""
+        return trial.without_rows > self.threshold.of(trial.key) > trial.of_rows
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ class Chosen:
 
     @property
     def by_priors(self) -> bool:
-        """Whether the priors of the parameters ask for it by themselves."""
+        """Whether the priors of the parameters ask for it by themselves, and the rows do not."""
         return self.stage.by_priors(self.trial)
 
     @property
