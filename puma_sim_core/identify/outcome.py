@@ -186,7 +186,8 @@ def _without(m: Mechanism, s: SelectionState) -> str:
     if s.retuned is None or not all(chosen.by_priors for chosen in s.chosen):
         return ""
     far = float(np.abs((s.retuned.point.theta - m.start) / m.deviations).max())
-    return f"; without, parameters would be up to {far:.1f} standard deviations of their priors off"
+    them = "it" if len(s.chosen) == 1 else "them"
+    return f"; without {them} parameters would be up to {far:.1f} standard deviations of their priors off"
 
 
 def _refuted(trial: Trial) -> str:
