@@ -32,7 +32,7 @@ def test_a_payload_that_other_links_could_replace_is_named(tmp_path):
     assert (found.verdict, [(e.name, e.joint) for e in found.effects]) == ("NAMED", [("payload", None)])
     mass = found.effects[0].parameters["mass"]
     assert 0.0 < mass.low < 1.5 < mass.high
-    assert re.search(r"without it parameters would be up to [3-7]\.\d standard deviations of their priors", found.sentence)
+    assert re.search(r"without it parameters would be up to [3-7]\.\d standard deviations of", found.sentence)
     assert "stays at" in found.sentence
     assert contradictions(json.loads(report_text(found))) == []
 
