@@ -1,10 +1,10 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
-"""Rules of the selection: what is retracted, what counts as a tie, what an effect needs to be named."""
+"""Rules of the selection: what goes before what, what replaces what, what values an effect may have."""
 
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
 
@@ -13,7 +13,6 @@ import pytest
 
 from puma_sim_core.effects import KINDS, parse_effect
 from puma_sim_core.identify.checks.wrong_zero import wrong_zeros
-from puma_sim_core.identify.explain import Stages, retracted
 from puma_sim_core.identify.fitting.point import Point
 from puma_sim_core.identify.fitting.prediction import Fitted, PredictionFit
 from puma_sim_core.identify.fitting.trial import Trial
@@ -25,7 +24,7 @@ from puma_sim_core.identify.selection.selection import Selection
 from puma_sim_core.identify.selection.state import Chosen, SelectionState, Stage, Threshold
 from puma_sim_core.plant.mechanism_file import load_mechanism
 
-A, B, C = ("coulomb_friction", 1), ("impulse", 2), ("joint_spring", 2)
+A, B = ("coulomb_friction", 1), ("impulse", 2)
 
 
 def scored(key):
@@ -45,78 +44,6 @@ def state_of(stages, *chosen, **more):
     made = tuple(each if isinstance(each, Chosen) else Chosen.of(each, tuple(stages)) for each in chosen)
     model = fitted(*(each.key for each in made))
     return SelectionState(model, None, None, made, tuple(stages), retuned=fitted(), **more)
-
-
-@dataclass
-class Chooser:
-    """Takes an effect out as `Selection.without` does."""
-
-    def without(self, state, key):
-        left = tuple(chosen for chosen in state.chosen if chosen.key != key)
-        model = fitted(*(chosen.key for chosen in left))
-        return replace(state, model=model, chosen=left, retracted=(*state.retracted, key))
-
-
-def confirmed(errors, first, second, rubbing=frozenset({1})):
-    """Effects that stay, and those retracted, by errors {effects: error in cross-validation}.
-
-    rubbing : joints that have another dry friction already.
-    """
-    threshold = replace(Threshold.alike(8.0), rubbing=rubbing)
-    state = state_of([Stage((t,), threshold, None, t) for t in (first, second)], first, second)
-
-    def lower(model, than, noise_holds, as_good):
-        assert than.fitted is state.retuned and noise_holds()
-        less = errors[frozenset()] - errors[frozenset(model.fitted.point.effects)]
-        return less >= 0.0 if as_good else less > 0.0
-
-    found = retracted(Chooser(), state, SimpleNamespace(better=lower))
-    return found.keys, found.retracted
-
-
-def test_a_push_is_not_judged_by_other_folds():
-    found = SimpleNamespace(keys=(("impulse", 1), ("impulse", 2)))
-    assert Stages._noise_holds(None, found)  # nothing of the log is asked for
-    with pytest.raises(AttributeError):
-        Stages._noise_holds(None, SimpleNamespace(keys=(("impulse", 1), ("joint_elasticity", 1))))
-
-
-def errors(none, a, b, both):
-    return {frozenset(): none, frozenset([A]): a, frozenset([C]): b, frozenset([A, C]): both}
-
-
-def test_effects_that_lower_the_error_in_cross_validation_stay():
-    assert confirmed(errors(1.0, 0.7, 0.8, 0.5), trial(A, 90.0), trial(C, 30.0)) == ((A, C), ())
-
-
-def test_the_weaker_name_goes_first_and_the_other_may_stay():
-    assert confirmed(errors(1.0, 0.7, 0.8, 1.2), trial(A, 90.0), trial(C, 30.0)) == ((A,), (C,))
-    assert confirmed(errors(1.0, 0.7, 0.8, 1.2), trial(A, 20.0), trial(C, 30.0)) == ((C,), (A,))
-
-
-def test_without_a_lower_error_there_is_no_name():
-    assert confirmed(errors(1.0, 1.0, 1.1, 1.2), trial(A, 90.0), trial(C, 30.0)) == ((), (C, A))
-
-
-@pytest.mark.parametrize(
-    "asked, rubbing",
-    [
-        (replace(trial(("payload", None), 20.0), eased=23.5), {1}),  # 20.5 nat of the priors, where a name needs 8
-        (trial(A, 20.0), {2}),  # what all but every drive has
-        (trial(("impulse", 1), 20.0), {1}),  # what happens once
-    ],
-)
-def test_what_something_else_speaks_for_goes_last_and_need_not_lower_the_error(asked, rubbing):
-    """A payload of 1.5 kg that links of other masses can replace was taken back by a hundredth of the error."""
-
-    def confirmed_by(*left):
-        return confirmed(dict(zip(map(frozenset, ((), (asked.key,), (C,), (asked.key, C))), left)), *both, rubbing)
-
-    both = asked, trial(C, 30.0)
-    assert confirmed_by(1.0, 1.0, 1.1, 1.0) == ((asked.key,), (C,))
-    assert confirmed_by(1.0, 1.1, 1.1, 1.2) == ((), (C, asked.key))
-    # beside it another one must lower the error all the same
-    assert confirmed_by(1.0, 1.0, 0.9, 0.9) == ((asked.key, C), ())
 
 
 PIECES = np.random.default_rng(8).normal(0.0, 1.0, 30)
