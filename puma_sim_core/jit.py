@@ -22,15 +22,7 @@ from puma_sim_core.errors import ParameterError
 
 _PACKAGE = Path(__file__).resolve().parent
 #: folders and files that compiled functions stand in; a change of any of them makes an older cache void
-_SOURCES = (
-    "jit.py",
-    "dynamics",
-    "servo",
-    "effects",
-    "control/sample_laws.py",
-    "simulation/tracking.py",
-    "identify/screening/known_effects.py",
-)
+_SOURCES = ("jit.py", "dynamics", "servo", "effects", "control/sample_laws.py", "identify/screening/known_effects.py")
 
 
 def _choose() -> str:

@@ -17,7 +17,7 @@ from puma_sim_core.dynamics.lanes import LANES
 from puma_sim_core.effects import Effect, parse_effect
 from puma_sim_core.executors import one_thread_of_algebra
 from puma_sim_core.identify.data.log import Log
-from puma_sim_core.identify.fitting.point import Point
+from puma_sim_core.identify.fitting.point import Point, size_of, with_value
 from puma_sim_core.identify.fitting.prediction import PredictionFit
 from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.settings import FITTING
@@ -40,11 +40,20 @@ def measured() -> np.ndarray:
     return simulator.run(TIME, VOLTS).position
 
 
+def effects(*texts: str) -> tuple[Effect, ...]:
+    """Effects of texts."""
+    return tuple(parse_effect(text) for text in texts)
+
+
 #: effects on the voltages: a dead band, and a limit that is met
-ON_VOLTAGE = (
-    parse_effect("voltage_dead_band:joint=1,voltage=0.5"),
-    parse_effect("voltage_saturation:joint=2,voltage=4"),
+ON_VOLTAGE = effects("voltage_dead_band:joint=1,voltage=0.5", "voltage_saturation:joint=2,voltage=4")
+#: joints that slide, reverse and stick in the motion, and a current that meets its limit
+SLIDING = effects("coulomb_friction:joint=2,torque=6", "asymmetric_coulomb_friction:joint=3,positive=3,negative=1")
+STICKING = effects("coulomb_friction:joint=1,torque=40", "coulomb_friction:joint=3,torque=4")
+LIMITED = effects(
+    "current_limit:joint=2,current=1.5", "coulomb_friction:joint=1,torque=5", "voltage_offset:joint=3,voltage=0.3"
 )
+ALL = [(), ON_VOLTAGE, SLIDING, STICKING, LIMITED]
 
 
 def started(count: int, effects: tuple[Effect, ...] = ()) -> list[Simulator]:
@@ -58,20 +67,54 @@ def started(count: int, effects: tuple[Effect, ...] = ()) -> list[Simulator]:
 
 def digest() -> str:
     """Of the innovations of five models side by side."""
-    found = innovations_side_by_side(started(5, ON_VOLTAGE), TIME, VOLTS, measured(), GAIN)
+    found = [innovations_side_by_side(started(5, own), TIME, VOLTS, measured(), GAIN, [2] * 5) for own in ALL]
     return hashlib.sha256(np.array(found).tobytes()).hexdigest()
 
 
-@pytest.mark.parametrize("effects", [(), ON_VOLTAGE])
+@pytest.mark.parametrize("parts", [1, 4])
+@pytest.mark.parametrize("own", ALL)
 @pytest.mark.parametrize("count", [1, 3, LANES])
-def test_each_model_has_the_innovations_that_it_has_alone(count, effects):
+def test_each_model_has_the_innovations_that_it_has_alone(count, own, parts):
     positions = measured()
-    side_by_side = innovations_side_by_side(started(count, effects), TIME, VOLTS, positions, GAIN)
+    side_by_side = innovations_side_by_side(started(count, own), TIME, VOLTS, positions, GAIN, [parts] * count)
     assert len(side_by_side) == count
-    for simulator, found in zip(started(count, effects), side_by_side):
-        alone = innovations(simulator, TIME, VOLTS, positions, GAIN).innovation
+    for simulator, found in zip(started(count, own), side_by_side):
+        alone = innovations(simulator, TIME, VOLTS, positions, GAIN, parts=parts).innovation
         assert np.abs(alone).max() > 1e-5
         np.testing.assert_allclose(found, alone, rtol=0.0, atol=1e-14)
+
+
+def test_what_is_tried_side_by_side_reverses_sticks_and_meets_its_limit():
+    positions = measured()
+
+    def followed(own: tuple[Effect, ...]) -> tuple[np.ndarray, np.ndarray]:
+        found = innovations(started(1, own)[0], TIME, VOLTS, positions, GAIN)
+        return found.velocity, found.innovation
+
+    velocity, _ = followed(SLIDING)
+    assert (np.abs(np.diff(np.sign(velocity[:, 1:]), axis=0)) == 2.0).any()
+    velocity, _ = followed(STICKING)
+    assert 3 < np.count_nonzero(velocity[:, 0] == 0.0) < len(velocity) - 3
+    limited, free = followed(LIMITED)[1], followed(LIMITED[1:])[1]
+    assert 0 < np.argmax(np.abs(limited - free).max(axis=1) > 1e-9) < len(free) - 10
+
+
+@pytest.mark.parametrize(("joint", "level"), [(1, 40.0), (3, 4.0)])
+def test_models_side_by_side_may_differ_in_all_values_of_their_effects(joint, level):
+    positions, simulators = measured(), [list[Simulator](), list[Simulator]()]
+    for n in range(5):
+        texts = (
+            f"voltage_dead_band:joint=1,voltage={0.1 + 0.2 * n}",
+            f"coulomb_friction:joint={joint},torque={level * n}",
+        )
+        for group in simulators:
+            group.append(Simulator(ARM.plant(ARM.start, effects(*texts))))
+            group[-1].reset((0.1, -0.9, 1.1), (0.0, 0.1, 0.0))
+    found = innovations_side_by_side(simulators[0][1:], TIME, VOLTS, positions, GAIN)
+    for simulator, own in zip(simulators[1][1:], found):
+        alone = innovations(simulator, TIME, VOLTS, positions, GAIN).innovation
+        np.testing.assert_allclose(own, alone, rtol=0.0, atol=1e-14)
+    assert np.abs(found[0] - found[3]).max() > 1e-6
 
 
 def test_both_kernels_give_the_same_bits():
@@ -92,21 +135,22 @@ def test_both_kernels_give_the_same_bits():
     ("text", "goes"),
     [
         ("payload:mass=1", True),
-        ("coulomb_friction:joint=2,torque=3", False),
+        ("coulomb_friction:joint=2,torque=3", True),
+        ("current_limit:joint=2,current=3", True),
         ("voltage_dead_band:joint=1,voltage=0.5", True),
+        ("stribeck_friction:joint=2,torque=3,sliding=2", False),
         ("joint_elasticity:joint=2,stiffness=20000", False),
     ],
 )
-def test_only_models_without_a_stage_of_their_own_go_side_by_side(text, goes):
-    first, other = (ARM.plant(ARM.start * share, (parse_effect(text),)) for share in (1.0, 1.01))
+def test_only_models_whose_stages_lanes_have_go_side_by_side(text, goes):
+    first, other = (ARM.plant(ARM.start * share, effects(text)) for share in (1.0, 1.01))
     assert goes_side_by_side(first, first) is goes_side_by_side(other, first) is goes
 
 
-def test_models_side_by_side_have_the_same_effects_on_the_voltages():
-    texts = ("voltage_offset:joint=1,voltage=0.5", "voltage_offset:joint=1,voltage=0.6")
-    first, other, bare = (ARM.plant(ARM.start, effects) for effects in (*((parse_effect(t),) for t in texts), ()))
-    assert goes_side_by_side(first, first)
-    assert not goes_side_by_side(other, first) and not goes_side_by_side(bare, first)
+def test_models_side_by_side_have_the_same_stages():
+    first, other = (ARM.plant(ARM.start, own) for own in (SLIDING, ON_VOLTAGE))
+    assert goes_side_by_side(first, first) and goes_side_by_side(other, other)
+    assert not goes_side_by_side(other, first)
 
 
 def test_a_model_that_does_not_stay_finite_leaves_the_others_as_they_are():
@@ -120,19 +164,32 @@ def test_a_model_that_does_not_stay_finite_leaves_the_others_as_they_are():
 
 
 @pytest.mark.parametrize("logs", [1, 2])
-def test_derivatives_side_by_side_are_differences_of_runs_alone(logs):
+@pytest.mark.parametrize(
+    ("own", "pairs"), [((), ()), (SLIDING, ((0, "torque"), (1, "positive"))), (ON_VOLTAGE, ((0, "voltage"),))]
+)
+def test_derivatives_side_by_side_are_differences_of_runs_alone(logs, own, pairs):
     given = [Log(f"log {n}", TIME + n, VOLTS, measured()) for n in range(logs)]
     predictor = Predictor(given, ARM, [lambda t: t > 1e9] * logs, np.full(3, 0.05), np.full(3, 3e-5))
-    point = Point(ARM.start * 1.01, ())
+    point = Point(ARM.start * 1.01, own)
     raw = predictor.errors(point.plant(ARM))
-    found = PredictionFit(predictor, predictor.unfiltered_weighting(raw)).derivatives(point, ())
-    assert found.shape == (*raw.shape, len(ARM.start))
+    found = PredictionFit(predictor, predictor.unfiltered_weighting(raw)).derivatives(point, pairs)
+    assert found.shape == (*raw.shape, len(ARM.start) + len(pairs))
+
+    def is_difference(column: int, to: Point, share: float) -> None:
+        alone = (predictor.errors(to.plant(ARM)) - raw) / share
+        assert np.abs(alone).max() > 0.0
+        np.testing.assert_allclose(found[:, :, column], alone, rtol=0.0, atol=1e-6 * np.abs(alone).max() + 1e-13)
+
     for number in (0, 7, len(ARM.start) - 1):
         theta = point.theta.copy()
         theta[number] += FITTING.difference * ARM.deviations[number]
-        alone = (predictor.errors(Point(theta, ()).plant(ARM)) - raw) / FITTING.difference
-        assert np.abs(alone).max() > 0.0
-        np.testing.assert_allclose(found[:, :, number], alone, rtol=0.0, atol=1e-6 * np.abs(alone).max() + 1e-13)
+        is_difference(number, Point(theta, own), FITTING.difference)
+    for column, (number, name) in enumerate(pairs, start=len(ARM.start)):
+        share = FITTING.effect_difference
+        value = own[number].values[name] + share * size_of(own[number], name)
+        moved = with_value(own, number, name, value)
+        assert moved is not None
+        is_difference(column, Point(point.theta, moved), share)
 
 
 def test_linear_algebra_keeps_to_one_thread_and_gets_its_own_back():

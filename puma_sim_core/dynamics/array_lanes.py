@@ -6,35 +6,78 @@ it once for all of them. Sums and products of arrays have the bits of those of n
 polynomials of `lanes`, as those of NumPy have no such promise.
 """
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
+from puma_sim_core.dynamics.following_lanes import LIMITS, build_sliding, moved, moved_alone, row_alone
 from puma_sim_core.dynamics.lanes import build_trigonometry
-from puma_sim_core.dynamics.laws import UNBENT
 from puma_sim_core.dynamics.rigid import build_arm
 from puma_sim_core.dynamics.runs import terminals
-from puma_sim_core.dynamics.types import FREE, NO_SLIP, Model, Rows
-from puma_sim_core.jit import Table
+from puma_sim_core.dynamics.types import Drive, Model, Rows
+from puma_sim_core.jit import Table, Vec, interpreted, plain
 
-# of the compiled kernel it is never called, and so never compiled
+# of the compiled kernel these are never called, and so never compiled
 _, array_step = build_arm(build_trigonometry(np.floor, np.where)[1])
+array_sliding_step = interpreted(build_sliding(array_step, np.where))
 
 
-def follow_arrays(numbers: np.ndarray, rows: Rows, measured: Any, corrected: Any, gain: Any, p: Table) -> np.ndarray:
-    """`lanes.follow_lanes` of m runs: innovations (m, n, 3).
+def follow_arrays(
+    numbers: np.ndarray,
+    active: int,
+    rows: Rows,
+    measured: Any,
+    corrected: Any,
+    gain: Any,
+    tables: Sequence[Table],
+    alike: bool,
+    parts: Sequence[int],
+) -> np.ndarray:
+    """`following_lanes.follow_lanes` of m models: innovations (m, n, 3).
 
-    numbers (LANE_NUMBERS, m) : those of `follow_lanes`, a column a run.
+    numbers (FOLLOWED, m) : those of `follow_lanes`, a column a model; tables, parts : m of them.
     """
-    x = tuple(numbers[0:9])
-    model = Model(tuple(numbers[12:32]), tuple(numbers[32:47]), 0)
-    out = np.empty((numbers.shape[1], len(rows.count), 3))
-    for r, count in enumerate(rows.count):
-        v = terminals(rows.voltage, r, p)
-        for _ in range(count):
-            x, _ = array_step(x, UNBENT, v, rows.step[r], model, p, FREE, NO_SLIP)
-        e = [measured[r][j] - x[j] for j in range(3)]
+    x, limits = tuple(numbers[0:9]), tuple(numbers[LIMITS : LIMITS + 9])
+    body, drive = numbers[12:32], numbers[32:47]
+    models = [Model(tuple(b), Drive(*d), active) for b, d in zip(body.T.tolist(), drive.T.tolist())]
+    out, since = np.empty((numbers.shape[1], len(rows.count), 3)), 0.0
+    for r, n in enumerate(rows.count):
+        h, t, before, alone = rows.step[r], rows.time[r], x, np.zeros(len(models), dtype=bool)
+        volts = [terminals(rows.voltage, r, p) for p in (tables[:1] if alike else tables)]
+        v = tuple(np.transpose(volts))
+        for _ in range(n):
+            x, ended = array_sliding_step(x, v, h, tuple(body), tuple(drive), limits, tables[0])
+            alone |= ended
+        since += n * h
+        left = np.flatnonzero(alone).tolist()
+        for m in left:
+            own, v = _column(before, m), volts[0 if alike else m]
+            _put_column(x, m, _or_none(row_alone, own, v, t, h, n, models[m], parts[m], tables[m]))
+        e = tuple(measured[r][j] - x[j] for j in range(3))
         out[:, r] = np.transpose(e)
-        if corrected[r]:
-            x = tuple(x[3 * k + j] + gain[3 * j + k] * e[j] for k in range(3) for j in range(3))
+        if not corrected[r]:
+            continue
+        slid, x = x, moved(x, e, gain)
+        for m in left:
+            own, seen, v = _column(slid, m), _column(e, m), volts[0 if alike else m]
+            _put_column(x, m, _or_none(moved_alone, own, seen, v, since, t + n * h, gain, models[m], tables[m]))
+        since = 0.0
     return out
+
+
+def _column(arrays: Any, m: int) -> Vec:
+    return tuple(float(one[m]) for one in arrays)
+
+
+def _put_column(arrays: Any, m: int, values: Vec) -> None:
+    for one, value in zip(arrays, values):
+        one[m] = value
+
+
+def _or_none(run: Callable[..., Vec], *arguments: Any) -> Vec:
+    """What plain Python makes of a state, not finite where it stops."""
+    try:
+        return plain(run)(*arguments)
+    except (OverflowError, ValueError, ZeroDivisionError):
+        return (np.nan,) * 9

@@ -14,8 +14,7 @@ from typing import Any
 
 from puma_sim_core.dynamics.laws import UNBENT
 from puma_sim_core.dynamics.rigid import build_arm
-from puma_sim_core.dynamics.runs import terminal_voltage
-from puma_sim_core.dynamics.types import FREE, NO_SLIP, Model, Rows
+from puma_sim_core.dynamics.types import FREE, NO_SLIP, Model
 from puma_sim_core.jit import Table, Vec, compiled, inlined, written
 
 #: runs side by side: two registers of AVX2, one of AVX-512
@@ -76,14 +75,15 @@ polynomial_sin_cos, polynomial_trigonometry = build_trigonometry(floor, one_of_t
 _, lane_step = build_arm(polynomial_trigonometry)
 
 
-def _numbers(first: int, count: int) -> list[str]:
+def in_lane(first: int, count: int) -> list[str]:
+    """Source of as many numbers of lane m of the flat array a."""
     return [f"a[{LANES * number} + m]" for number in range(first, first + count)]
 
 
 #: (a, m) -> state, voltages, body and drive of lane m; (a, m, y) puts the state y in it
-_PARTS = ["(" + ", ".join(_numbers(*part)) + ")" for part in ((0, 9), (9, 3), (12, 20), (32, 15))]
+_PARTS = ["(" + ", ".join(in_lane(*part)) + ")" for part in ((0, 9), (9, 3), (12, 20), (32, 15))]
 lane_of = written("lane_of", "a, m", [f"return {', '.join(_PARTS)}"], {})
-put_state = written("put_state", "a, m, y", [f"{place} = y[{k}]" for k, place in enumerate(_numbers(0, 9))], {})
+put_state = written("put_state", "a, m, y", [f"{place} = y[{k}]" for k, place in enumerate(in_lane(0, 9))], {})
 
 
 @inlined
@@ -115,29 +115,3 @@ def run_lanes(a: Table, volts: Table, which: Table, counts: Table, steps: Table,
         for m in range(LANES):
             for k in range(9):
                 out[m, r + 1, k] = a[k * LANES + m]
-
-
-@compiled
-def follow_lanes(a: Table, rows: Rows, measured: Table, corrected: Table, gain: Table, p: Table, out: Table) -> None:
-    """One group of LANES runs that follow a measured motion (`simulation.tracking`), without effects or constraints.
-
-    a : as `run_lanes`, moved on; rows : commanded voltages and steps; measured (n, 3) [rad], at the ends of the rows;
-    corrected (n,), gain (9,) as for `tracking.Track`; p : the table of the effects on the voltages, the same in all
-    lanes; out (LANES, n, 3): the innovations [rad].
-    """
-    for r in range(len(rows.count)):
-        for k in range(3):
-            v = terminal_voltage(k, rows.voltage[r][k], p)
-            for m in range(LANES):
-                a[(9 + k) * LANES + m] = v
-        for _ in range(rows.count[r]):
-            step_lanes(a, rows.step[r], p)
-        for j in range(3):
-            for m in range(LANES):
-                out[m, r, j] = measured[r][j] - a[j * LANES + m]
-            if corrected[r]:
-                for m in range(LANES):
-                    e = out[m, r, j]
-                    a[j * LANES + m] += gain[3 * j] * e
-                    a[(3 + j) * LANES + m] += gain[3 * j + 1] * e
-                    a[(6 + j) * LANES + m] += gain[3 * j + 2] * e

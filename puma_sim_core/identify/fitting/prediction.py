@@ -7,22 +7,21 @@ The innovations of a true model are white and independent of the past, with feed
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from puma_sim_core.effects import Effect
-from puma_sim_core.errors import NonFiniteStateError, ParameterError
 from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.fitting.damping import best_damping
 from puma_sim_core.identify.fitting.pieces import pieces
 from puma_sim_core.identify.fitting.point import Pairs, Point, size_of, with_value
 from puma_sim_core.identify.fitting.predictor import Predictor
+from puma_sim_core.identify.fitting.running import Ran, Running, cannot_be_run
 from puma_sim_core.identify.noise.weighting import Weighting
 from puma_sim_core.identify.parallel import parallel_map
 from puma_sim_core.identify.settings import FITTING
@@ -86,11 +85,19 @@ class PredictionFit:
         self.weighting = weighting
         self.rows = predictor.fit_rows
         self.mechanism = predictor.mechanism
+        self.running = Running(predictor)
 
     def errors(self, point: Point) -> Floats | None:
         """(N, J) innovations after whitening, None where the model cannot be run."""
-        raw = self._raw(point)
+        raw = self.running.one(point)
         return None if raw is None else self.weighting(raw)
+
+    def errors_of(self, points: Sequence[Point]) -> list[Floats | None]:
+        """`errors` of several models, but for the last bits."""
+        return parallel_map(self._whitened, self.running.many(points))
+
+    def _whitened(self, ran: Ran) -> Floats | None:
+        return None if ran.errors is None else self.weighting(ran.errors)
 
     def objective(self, errors: Floats, point: Point) -> float:
         """Half the sum of squares, of the rows to fit and of the parameters' priors."""
@@ -106,12 +113,15 @@ class PredictionFit:
 
     def lowest_of(self, points: Iterable[Point]) -> tuple[Point, float] | None:
         """The point that fits best as it is, and its objective [nat]; None where none can be run."""
-        best: tuple[Point, float] | None = None
-        for point in points:
-            errors = self.errors(point)
-            if errors is not None and (best is None or self.objective(errors, point) < best[1]):
-                best = point, self.objective(errors, point)
-        return best
+        points = list(points)
+
+        def cost(pair: tuple[Point, Ran]) -> float:
+            errors = self._whitened(pair[1])
+            return float("inf") if errors is None else self.objective(errors, pair[0])
+
+        costs = parallel_map(cost, list(zip(points, self.running.many(points))))
+        best = min(zip(points, costs), key=itemgetter(1), default=None)
+        return None if best is None or best[1] == float("inf") else best
 
     def prior(self, point: Point, pairs: Pairs) -> tuple[Floats, Floats]:
         """(c,) slopes of the objective's priors by parameters of effects, per size, and (c,) prior precisions."""
@@ -130,28 +140,8 @@ class PredictionFit:
         return one * float(np.log(max(effect.values[name], FITTING.prior_floor * median) / median)), one
 
     def derivatives(self, point: Point, pairs: Pairs, near: Floats | None = None) -> Floats:
-        """(N, J, p + c) derivatives of the innovations before whitening, by the mechanism's parameters per standard
-        deviation, and by parameters of effects per size (`sizes`). Read-only: they are cached.
-
-        near : those about a model near by; a two-mass model takes its derivatives by the mechanism's parameters over.
-        """
-        if near is not None and point.two_mass:
-            return self._derived(point, pairs, near[:, :, : len(point.theta)])
-        return self.predictor.derived((point.key, tuple(pairs)), lambda: self._derived(point, pairs))
-
-    def _derived(self, point: Point, pairs: Pairs, by_parameters: Floats | None = None) -> Floats:
-        raw = self._raw(point)
-        if raw is None:
-            raise _cannot_be_run()
-        p = len(point.theta)
-        out = np.zeros((*raw.shape, p + len(pairs)))
-        if by_parameters is None:
-            self._by_parameters(point, raw, out)
-        else:
-            out[:, :, :p] = by_parameters
-        for k, column in enumerate(parallel_map(lambda pair: self._by_effect(point, raw, *pair), pairs), start=p):
-            out[:, :, k] = column
-        return out
+        """(N, J, p + c) `Running.derivatives`, before whitening."""
+        return self.running.derivatives(point, pairs, near)
 
     def whitened(self, derivatives: Floats) -> Floats:
         """(N', p) derivatives after whitening, at the rows to fit, of those before it (N, J, p)."""
@@ -161,44 +151,6 @@ class PredictionFit:
             own = slice(first, first + FITTING.whitened_together)
             out[:, own] = self.weighting(derivatives[:, :, own])[self.rows]
         return out
-
-    def _raw(self, point: Point) -> Floats | None:
-        try:
-            plant = point.plant(self.mechanism)
-            # a drive train as fast as this is rigid in any log, and takes millions of steps along it
-            if plant.least_rate > FITTING.greatest_rate:
-                return None
-            return self.predictor.remembered(point.key, lambda: self.predictor.errors(plant))
-        except (NonFiniteStateError, ParameterError):
-            return None
-
-    def _by_parameters(self, point: Point, raw: Floats, out: Floats) -> None:
-        """Write derivatives by each of the mechanism's parameters to out (N, J, ...), from runs side by side where the
-        kernel has lanes for them."""
-        moved = [
-            Point(point.theta + step, point.effects) for step in np.diag(FITTING.difference * self.mechanism.deviations)
-        ]
-        # with the model itself in a lane too, what lanes differ by falls out of the differences
-        lanes = None
-        with suppress(ParameterError):
-            lanes = self.predictor.errors_of(at.plant(self.mechanism) for at in (point, *moved))
-        if lanes is not None and lanes[0] is not None:
-            raw, after = lanes[0], lanes[1:]
-        else:
-            after = parallel_map(self._raw, moved)
-        for k, one in enumerate(after):
-            if one is not None:
-                out[:, :, k] = (one - raw) / FITTING.difference
-
-    def _by_effect(self, point: Point, raw: Floats, number: int, name: str) -> Floats:
-        effect = point.effects[number]
-        size = size_of(effect, name)
-        for share in (FITTING.effect_difference, -FITTING.effect_difference):
-            effects = with_value(point.effects, number, name, effect.values[name] + share * size)
-            moved = None if effects is None else self._raw(Point(point.theta, effects))
-            if moved is not None:
-                return (moved - raw) / share
-        return np.zeros_like(raw)
 
     def run(
         self,
@@ -225,9 +177,8 @@ class PredictionFit:
         for _ in range(rounds):
             if jacobian is None:
                 slopes = Slopes.of(self.whitened(self.derivatives(point, pairs)))
-            elif own and (raw := self._raw(point)) is not None:
-                columns = np.stack([self._by_effect(point, raw, *pair) for pair in own], axis=2)
-                slopes = jacobian.beside(self.whitened(columns))
+            elif own:
+                slopes = jacobian.beside(self.whitened(self.running.by_effects(point, own)))
             assert slopes is not None
             step, promised = self._step(slopes, point, errors, pairs)
             if promised < FITTING.least_promise:
@@ -284,7 +235,7 @@ class PredictionFit:
         jacobian = Slopes.of(self.whitened(raw))
         fitted = self.run(point, (), jacobian=jacobian, frozen=pairs, rounds=rounds)
         if fitted is None:
-            raise _cannot_be_run()
+            raise cannot_be_run()
         return self.from_start(fitted, jacobian)
 
     def _step(
@@ -310,10 +261,12 @@ class PredictionFit:
         of parts and of damped steps follows, which turn to where each parameter goes alone. damping : of the step
         before; where that was damped the best of those near it comes first.
         """
-        damped = self._damped(slopes, point, errors, pairs)
+        parts = [share * step for share in FITTING.step_shares]
+        damped = list[tuple[Point, Floats] | None]()
         if damping is not None:
-            nearest = best_damping(damping, lambda number: self._cost(damped(number)))
-            if (near := damped(nearest)) is not None:
+            damped = self._all_moved(point, self._damped(slopes, point, errors, pairs), pairs)
+            nearest = best_damping(damping, lambda number: self._cost(damped[number]))
+            if (near := damped[nearest]) is not None:
                 yield *near, nearest
         whole = self._moved(point, step, pairs)
         if whole is not None:
@@ -321,30 +274,28 @@ class PredictionFit:
             back = self._moved(whole[0], self._step(slopes, *whole, pairs)[0], pairs)
             if back is not None:
                 yield *back, None
-        parts = [share * step for share in FITTING.step_shares]
         if not any(effect.kind.dry for effect in point.effects):
             moved = (self._moved(point, each, pairs) for each in parts)
             yield from ((*part, None) for part in moved if part is not None)
             return
-        runs = [partial(self._moved, point, part, pairs) for part in parts]
-        runs += [partial(damped, number) for number in range(len(FITTING.dampings))]
+        further = parts if damped else [*parts, *self._damped(slopes, point, errors, pairs)]
+        tried = [*self._all_moved(point, further, pairs), *damped]
         numbers = [None] * len(parts) + list(range(len(FITTING.dampings)))
-        tried = parallel_map(lambda run: run(), runs)
         best, number = min(zip(tried, numbers), key=lambda each: self._cost(each[0]))
         if best is not None:
             yield *best, number
 
-    def _damped(
-        self, slopes: Slopes, point: Point, errors: Floats, pairs: Pairs
-    ) -> Callable[[int], tuple[Point, Floats] | None]:
-        """The model a damped step away by the number of the damping, and its errors."""
+    def _damped(self, slopes: Slopes, point: Point, errors: Floats, pairs: Pairs) -> list[Floats]:
+        """The step of each damping."""
+        return [self._step(slopes, point, errors, pairs, damping)[0] for damping in FITTING.dampings]
 
-        @cache
-        def damped(number: int) -> tuple[Point, Floats] | None:
-            step, _ = self._step(slopes, point, errors, pairs, FITTING.dampings[number])
-            return self._moved(point, step, pairs)
-
-        return damped
+    def _all_moved(self, point: Point, steps: Sequence[Floats], pairs: Pairs) -> list[tuple[Point, Floats] | None]:
+        """`_moved` of several steps, but for the last bits."""
+        sizes = self.sizes(point, pairs)
+        moved = [self.stepped(point, step, pairs, sizes) for step in steps]
+        found = iter(self.errors_of([each for each in moved if each is not None]))
+        errors = [None if each is None else next(found) for each in moved]
+        return [None if one is None or own is None else (one, own) for one, own in zip(moved, errors)]
 
     def _cost(self, moved: tuple[Point, Floats] | None) -> float:
         """The objective of a model that can be run."""
@@ -395,10 +346,6 @@ class PredictionFit:
         rows = self.predictor.validation_rows
         squares = 0.5 * np.where(rows, errors**2, 0.0).sum(axis=1)
         return np.array([squares[piece].sum() for piece in pieces(np.asarray(rows.any(axis=1)), self.predictor.step)])
-
-
-def _cannot_be_run() -> ParameterError:
-    return ParameterError("a model that cannot be run", where="prediction", expected="the parameters of a fit")
 
 
 def bounded_step(normal: Floats, gradient: Floats, first: int) -> Floats:

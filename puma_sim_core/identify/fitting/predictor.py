@@ -7,7 +7,7 @@ Identification, chapter 13). `prediction` fits models to them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
@@ -29,7 +29,7 @@ from puma_sim_core.identify.remembered import Remembered
 from puma_sim_core.identify.settings import FITTING
 from puma_sim_core.plant.mechanism import Mechanism
 from puma_sim_core.plant.plant import Plant
-from puma_sim_core.simulation.side_by_side import TOGETHER, goes_side_by_side, innovations_side_by_side
+from puma_sim_core.simulation.side_by_side import LEAST_TOGETHER, TOGETHER, goes_side_by_side, innovations_side_by_side
 from puma_sim_core.simulation.simulator import Simulator
 from puma_sim_core.simulation.tracking import Tracked, innovations
 from puma_sim_core.simulation.windows import driven_current, local_motion, true_start
@@ -223,21 +223,32 @@ class Predictor:
             out.append(innovations(simulator, s.time, s.voltage, s.position, self.gain, s.enable, own, finer))
         return out
 
-    def errors_of(self, plants: Iterable[Plant]) -> list[Floats | None] | None:
-        """`errors` of several plants at once, but for the last bits; None for one whose state is not finite.
-
-        None as a whole, after a look at the first ones, where they cannot run side by side.
-        """
+    def errors_side_by_side(self, plants: Sequence[Plant | None]) -> dict[int, Floats | None]:
+        """`errors` but for the last bits, None where a state is not finite, by the number of each plant that goes side
+        by side with enough others."""
         if any(s.enable is not None for s in self.stretches):
-            return None
-        kept = list[Plant]()
-        for plant in plants:
-            kept.append(plant)
-            if not goes_side_by_side(plant, kept[0]):
-                return None
-        started = [[_started(plant, s, self.greatest_step) for plant in kept] for s in self.stretches]
-        if len({simulator.max_step for simulator in started[0]}) != 1:
-            return None
+            return {}
+        groups = list[dict[int, Plant]]()
+        for n, plant in enumerate(plants):
+            if plant is None or not goes_side_by_side(plant, plant):
+                continue
+            own = next((own for own in groups if self._goes_beside(plant, next(iter(own.values())))), None)
+            if own is None:
+                groups.append({n: plant})
+            else:
+                own[n] = plant
+        out = dict[int, Floats | None]()
+        for group in groups:
+            if len(group) >= LEAST_TOGETHER:
+                out |= zip(group, self._together(list(group.values())))
+        return out
+
+    def _goes_beside(self, plant: Plant, first: Plant) -> bool:
+        step = self.greatest_step
+        return goes_side_by_side(plant, first) and stable_step(plant, step) == stable_step(first, step)
+
+    def _together(self, plants: Sequence[Plant]) -> list[Floats | None]:
+        started = [[_started(plant, s, self.greatest_step) for plant in plants] for s in self.stretches]
         logs = [self._side_by_side(s, simulators) for s, simulators in zip(self.stretches, started)]
         return [
             np.concatenate(parts) if all(np.isfinite(part).all() for part in parts) else None for parts in zip(*logs)
@@ -246,9 +257,12 @@ class Predictor:
     def _side_by_side(self, s: Stretch, simulators: Sequence[Simulator]) -> list[Floats]:
         """Innovations (n - 1, J) of one log by several simulators."""
         groups = [simulators[n : n + TOGETHER] for n in range(0, len(simulators), TOGETHER)]
-        done = parallel_map(
-            lambda group: innovations_side_by_side(group, s.time, s.voltage, s.position, self.gain), groups
-        )
+
+        def run(group: Sequence[Simulator]) -> list[Floats]:
+            parts = [parts_of_steps(simulator.plant, self.greatest_step) for simulator in group]
+            return innovations_side_by_side(group, s.time, s.voltage, s.position, self.gain, parts)
+
+        done = parallel_map(run, groups)
         return list(chain.from_iterable(done))
 
     def in_volts(self, errors: Floats, cutoff: float) -> Floats:
