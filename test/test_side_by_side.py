@@ -65,10 +65,50 @@ def started(count: int, effects: tuple[Effect, ...] = ()) -> list[Simulator]:
     return found
 
 
+#: a joint without inductance in its motor: effects that lanes have
+PENDULUM = load_mechanism("pendulum")
+OF_ONE_JOINT = [
+    (),
+    effects("coulomb_friction:joint=1,torque=0.03"),
+    effects("coulomb_friction:joint=1,torque=0.2", "voltage_offset:joint=1,voltage=0.2"),
+    effects("current_limit:joint=1,current=0.3", "coulomb_friction:joint=1,torque=0.03"),
+]
+
+
+def swing() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times (n,), voltages and positions (n, 1) of a pendulum."""
+    time = np.arange(0.0, 1.5, 2e-3)
+    volts = 5.0 * np.sin(7.0 * time[:, None]) + 3.0 * np.sign(np.sin(3.0 * time[:, None]))
+    simulator = Simulator(PENDULUM.plant(PENDULUM.start * 1.02))
+    simulator.reset((0.3,))
+    return time, volts, simulator.run(time, volts).position
+
+
+def pendulums(count: int, own: tuple[Effect, ...]) -> list[Simulator]:
+    """Simulators of as many different pendulums."""
+    found = [Simulator(PENDULUM.plant(PENDULUM.start * (1.0 + 0.003 * n), own)) for n in range(count)]
+    for simulator in found:
+        simulator.reset((0.3,), (0.1,))
+    return found
+
+
+@pytest.mark.parametrize("own", OF_ONE_JOINT)
+def test_machines_of_one_joint_without_inductance_go_side_by_side_as_well(own):
+    time, volts, positions = swing()
+    gain = GAIN[:1]
+    found = innovations_side_by_side(pendulums(5, own), time, volts, positions, gain)
+    for simulator, one in zip(pendulums(5, own), found):
+        assert goes_side_by_side(simulator.plant, simulator.plant)
+        alone = innovations(simulator, time, volts, positions, gain).innovation
+        assert one.shape == alone.shape == (len(time) - 1, 1) and np.abs(alone).max() > 1e-5
+        np.testing.assert_allclose(one, alone, rtol=0.0, atol=1e-13)
+
+
 def digest() -> str:
     """Of the innovations of five models side by side."""
     found = [innovations_side_by_side(started(5, own), TIME, VOLTS, measured(), GAIN, [2] * 5) for own in ALL]
-    return hashlib.sha256(np.array(found).tobytes()).hexdigest()
+    swinging = [innovations_side_by_side(pendulums(5, own), *swing(), GAIN[:1]) for own in OF_ONE_JOINT]
+    return hashlib.sha256(np.array(found).tobytes() + np.array(swinging).tobytes()).hexdigest()
 
 
 @pytest.mark.parametrize("parts", [1, 4])

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from puma_sim_core.dynamics.following_lanes import LIMITS, build_sliding, moved, moved_alone, row_alone
+from puma_sim_core.dynamics.following_lanes import DAMPING, LIMITS, build_sliding, moved, moved_alone, row_alone
 from puma_sim_core.dynamics.lanes import build_trigonometry
 from puma_sim_core.dynamics.rigid import build_arm
 from puma_sim_core.dynamics.runs import terminals
@@ -33,12 +33,13 @@ def follow_arrays(
     tables: Sequence[Table],
     alike: bool,
     parts: Sequence[int],
+    lock: Vec,
 ) -> np.ndarray:
     """`following_lanes.follow_lanes` of m models: innovations (m, n, 3).
 
     numbers (FOLLOWED, m) : those of `follow_lanes`, a column a model; tables, parts : m of them.
     """
-    x, limits = tuple(numbers[0:9]), tuple(numbers[LIMITS : LIMITS + 9])
+    x, limits, damping = tuple(numbers[0:9]), tuple(numbers[LIMITS : LIMITS + 9]), tuple(numbers[DAMPING : DAMPING + 3])
     body, drive = numbers[12:32], numbers[32:47]
     models = [Model(tuple(b), Drive(*d), active) for b, d in zip(body.T.tolist(), drive.T.tolist())]
     out, since = np.empty((numbers.shape[1], len(rows.count), 3)), 0.0
@@ -47,13 +48,13 @@ def follow_arrays(
         volts = [terminals(rows.voltage, r, p) for p in (tables[:1] if alike else tables)]
         v = tuple(np.transpose(volts))
         for _ in range(n):
-            x, ended = array_sliding_step(x, v, h, tuple(body), tuple(drive), limits, tables[0])
+            x, ended = array_sliding_step(x, v, h, tuple(body), tuple(drive), limits, damping, tables[0], lock)
             alone |= ended
         since += n * h
         left = np.flatnonzero(alone).tolist()
         for m in left:
             own, v = _column(before, m), volts[0 if alike else m]
-            _put_column(x, m, _or_none(row_alone, own, v, t, h, n, models[m], parts[m], tables[m]))
+            _put_column(x, m, _or_none(row_alone, own, v, t, h, n, models[m], parts[m], tables[m], lock))
         e = tuple(measured[r][j] - x[j] for j in range(3))
         out[:, r] = np.transpose(e)
         if not corrected[r]:
@@ -61,7 +62,7 @@ def follow_arrays(
         slid, x = x, moved(x, e, gain)
         for m in left:
             own, seen, v = _column(slid, m), _column(e, m), volts[0 if alike else m]
-            _put_column(x, m, _or_none(moved_alone, own, seen, v, since, t + n * h, gain, models[m], tables[m]))
+            _put_column(x, m, _or_none(moved_alone, own, seen, v, since, t + n * h, gain, models[m], tables[m], lock))
         since = 0.0
     return out
 

@@ -10,10 +10,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from puma_sim_core.dynamics.array_lanes import follow_arrays
-from puma_sim_core.dynamics.following_lanes import FOLLOWED, IN_LANES, LIMITS, follow_lanes, limits
+from puma_sim_core.dynamics.circuit import with_damping
+from puma_sim_core.dynamics.following_lanes import DAMPING, FOLLOWED, IN_LANES, LIMITS, follow_lanes, limits
 from puma_sim_core.dynamics.lanes import LANES
+from puma_sim_core.dynamics.types import STILL
 from puma_sim_core.effects.base import VOLTAGE, Effect
-from puma_sim_core.jit import BACKEND
+from puma_sim_core.jit import BACKEND, interpreted
 from puma_sim_core.plant.plant import Plant
 from puma_sim_core.simulation.run_inputs import kernel_rows, native, rows_of
 from puma_sim_core.simulation.simulator import Simulator
@@ -26,10 +28,11 @@ LEAST_TOGETHER = LANES // 2 if BACKEND == "numba" else 16
 
 
 def goes_side_by_side(plant: Plant, first: Plant) -> bool:
-    """Whether a plant may be one of those of `innovations_side_by_side` beside the first: an arm with the same stages
-    of the kernel, of those that lanes have."""
+    """Whether a plant may be one of those of `innovations_side_by_side` beside the first: one with the same joints and
+    the same stages of the kernel, of those that lanes have."""
     active = plant.constants.active
-    return plant.joints == 3 and active & ~IN_LANES == 0 and active == first.constants.active
+    alike = plant.axes == first.axes and plant.rest == first.rest and active == first.constants.active
+    return alike and active & ~IN_LANES == 0
 
 
 def _on_voltage(simulator: Simulator) -> tuple[Effect, ...]:
@@ -44,9 +47,9 @@ def innovations_side_by_side(
     gain: np.ndarray,
     parts: Sequence[int] = (),
 ) -> list[np.ndarray]:
-    """Innovations (n - 1, 3) [rad] of each model, not finite from where its state stopped being so.
+    """Innovations (n - 1, J) [rad] of each model, not finite from where its state stopped being so.
 
-    simulators : at most `TOGETHER`, without constraints, of one greatest step, of plants that go side by side; time,
+    simulators : at most `TOGETHER`, of the same constraints and greatest step, of plants that go side by side; time,
     voltage, measured, gain and parts (of each model, 1 by default) as for `tracking.innovations`.
     """
     compiled = BACKEND == "numba"
@@ -58,14 +61,21 @@ def innovations_side_by_side(
         model = simulator.constants.model
         numbers[0:9, lane], numbers[12:32, lane], numbers[32:47, lane] = simulator.state, model.body, model.drive
         numbers[LIMITS : LIMITS + 9, lane] = limits(tables[lane])
+        _, damped = interpreted(with_damping)(simulator.state, STILL, model)
+        numbers[DAMPING : DAMPING + 3, lane] = damped.drive[4::5]
     edges, first = np.ascontiguousarray(time), simulators[0]
-    rows = kernel_rows(np.ascontiguousarray(voltage[:-1]), edges, np.diff(edges), first.max_step)
-    seen, corrected = rows_of(measured[1:]), rows_of(np.ones(len(edges) - 1, dtype=bool))
-    given = (first.constants.active, rows, seen, corrected, native(gain.ravel().tolist()))
+    plant, axes = first.plant, list(first.plant.axes)
+    volts = np.ascontiguousarray(plant.spread(voltage[:-1]))
+    rows = kernel_rows(volts, edges, np.diff(edges), first.max_step)
+    positions = np.tile(plant.rest, (len(edges) - 1, 1))
+    positions[:, axes] = measured[1:]
+    seen, corrected = rows_of(positions), rows_of(np.ones(len(edges) - 1, dtype=bool))
+    given = (first.constants.active, rows, seen, corrected, native(plant.spread(gain.T).T.ravel().tolist()))
     alike = all(_on_voltage(simulator) == _on_voltage(first) for simulator in simulators)
     if not compiled:
         with np.errstate(over="ignore", invalid="ignore"):
-            return list(follow_arrays(numbers, *given, tables, alike, finer))
+            return list(follow_arrays(numbers, *given, tables, alike, finer, first.lock)[:, :, axes])
     out = np.empty((LANES, len(edges) - 1, 3))
-    follow_lanes(numbers.ravel(), *given, np.array(tables), alike, np.array(finer), out)
-    return list(out[: len(simulators)])
+    follow_lanes(numbers.ravel(), *given, np.array(tables), alike, np.array(finer), first.lock, out)
+    # of a whole arm without a copy
+    return list(out[: len(simulators)] if plant.joints == 3 else out[: len(simulators)][:, :, axes])
