@@ -21,6 +21,7 @@ from puma_sim_core.identify.fitting.point import Point, size_of, with_value
 from puma_sim_core.identify.fitting.prediction import PredictionFit
 from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.settings import FITTING
+from puma_sim_core.jit import BACKEND
 from puma_sim_core.plant.mechanism_file import load_mechanism
 from puma_sim_core.simulation.side_by_side import goes_side_by_side, innovations_side_by_side
 from puma_sim_core.simulation.simulator import Simulator
@@ -54,6 +55,18 @@ LIMITED = effects(
     "current_limit:joint=2,current=1.5", "coulomb_friction:joint=1,torque=5", "voltage_offset:joint=3,voltage=0.3"
 )
 ALL = [(), ON_VOLTAGE, SLIDING, STICKING, LIMITED]
+#: what depends on more than the direction of motion: compiled lanes have it, arrays do not
+LANE_BY_LANE = [
+    effects("stribeck_friction:joint=2,torque=3,sliding=4", "joint_spring:joint=3,stiffness=6"),
+    effects("load_dependent_friction:joint=2,coefficient=0.1", "quadratic_friction:joint=1,coefficient=5"),
+    effects("position_dependent_friction:joint=3,torque=2,amplitude=1", "base_tilt:x=0.05,y=0.02"),
+    effects("impulse:joint=2,torque=40,time=0.1,width=0.05", "coulomb_friction:joint=1,torque=40"),
+    effects(
+        "friction_warm_up:joint=1,share=0.4,time_constant=0.2", "resistance_drift:joint=2,share=0.3,time_constant=1"
+    ),
+    effects("soft_stop:joint=3,lower=-0.5,upper=0.5", "current_limit:joint=2,current=1.5"),
+]
+COMPILED = BACKEND == "numba"
 
 
 def started(count: int, effects: tuple[Effect, ...] = ()) -> list[Simulator]:
@@ -72,6 +85,13 @@ OF_ONE_JOINT = [
     effects("coulomb_friction:joint=1,torque=0.03"),
     effects("coulomb_friction:joint=1,torque=0.2", "voltage_offset:joint=1,voltage=0.2"),
     effects("current_limit:joint=1,current=0.3", "coulomb_friction:joint=1,torque=0.03"),
+]
+OF_ONE_JOINT_BY_LANE = [
+    effects("stribeck_friction:joint=1,torque=0.03,sliding=0.02", "resistance_drift:joint=1,share=0.3,time_constant=1"),
+    effects(
+        "position_dependent_friction:joint=1,torque=0.02,amplitude=0.01",
+        "impulse:joint=1,torque=0.3,time=0.4,width=0.1",
+    ),
 ]
 
 
@@ -92,7 +112,7 @@ def pendulums(count: int, own: tuple[Effect, ...]) -> list[Simulator]:
     return found
 
 
-@pytest.mark.parametrize("own", OF_ONE_JOINT)
+@pytest.mark.parametrize("own", OF_ONE_JOINT + OF_ONE_JOINT_BY_LANE * COMPILED)
 def test_machines_of_one_joint_without_inductance_go_side_by_side_as_well(own):
     time, volts, positions = swing()
     gain = GAIN[:1]
@@ -112,7 +132,7 @@ def digest() -> str:
 
 
 @pytest.mark.parametrize("parts", [1, 4])
-@pytest.mark.parametrize("own", ALL)
+@pytest.mark.parametrize("own", ALL + LANE_BY_LANE * COMPILED)
 @pytest.mark.parametrize("count", [1, 3, LANES])
 def test_each_model_has_the_innovations_that_it_has_alone(count, own, parts):
     positions = measured()
@@ -178,7 +198,8 @@ def test_both_kernels_give_the_same_bits():
         ("coulomb_friction:joint=2,torque=3", True),
         ("current_limit:joint=2,current=3", True),
         ("voltage_dead_band:joint=1,voltage=0.5", True),
-        ("stribeck_friction:joint=2,torque=3,sliding=2", False),
+        ("stribeck_friction:joint=2,torque=3,sliding=2", COMPILED),
+        ("presliding_friction:joint=1,torque=8", False),
         ("joint_elasticity:joint=2,stiffness=20000", False),
     ],
 )

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from puma_sim_core.dynamics.following_lanes import DAMPING, LIMITS, build_sliding, moved, moved_alone, row_alone
+from puma_sim_core.dynamics.following_lanes import build_sliding, moved, moved_alone, row_alone
+from puma_sim_core.dynamics.lane_places import DAMPING, HAS_DRY, LEVELS, NEAR_LIMIT
 from puma_sim_core.dynamics.lanes import build_trigonometry
 from puma_sim_core.dynamics.rigid import build_arm
 from puma_sim_core.dynamics.runs import terminals
@@ -20,7 +21,7 @@ from puma_sim_core.jit import Table, Vec, interpreted, plain
 
 # of the compiled kernel these are never called, and so never compiled
 _, array_step = build_arm(build_trigonometry(np.floor, np.where)[1])
-array_sliding_step = interpreted(build_sliding(array_step, np.where))
+array_sliding_step, array_leaves = map(interpreted, build_sliding(array_step, np.where))
 
 
 def follow_arrays(
@@ -35,11 +36,12 @@ def follow_arrays(
     parts: Sequence[int],
     lock: Vec,
 ) -> np.ndarray:
-    """`following_lanes.follow_lanes` of m models: innovations (m, n, 3).
+    """`following_lanes.follow_lanes` of m models with stages of `SLIDING` alone: innovations (m, n, 3).
 
     numbers (FOLLOWED, m) : those of `follow_lanes`, a column a model; tables, parts : m of them.
     """
-    x, limits, damping = tuple(numbers[0:9]), tuple(numbers[LIMITS : LIMITS + 9]), tuple(numbers[DAMPING : DAMPING + 3])
+    x, levels, damping = tuple(numbers[0:9]), tuple(numbers[LEVELS : LEVELS + 6]), tuple(numbers[DAMPING : DAMPING + 3])
+    has_dry, near_limit = tuple(numbers[HAS_DRY : HAS_DRY + 3]), tuple(numbers[NEAR_LIMIT : NEAR_LIMIT + 3])
     body, drive = numbers[12:32], numbers[32:47]
     models = [Model(tuple(b), Drive(*d), active) for b, d in zip(body.T.tolist(), drive.T.tolist())]
     out, since = np.empty((numbers.shape[1], len(rows.count), 3)), 0.0
@@ -48,8 +50,9 @@ def follow_arrays(
         volts = [terminals(rows.voltage, r, p) for p in (tables[:1] if alike else tables)]
         v = tuple(np.transpose(volts))
         for _ in range(n):
-            x, ended = array_sliding_step(x, v, h, tuple(body), tuple(drive), limits, damping, tables[0], lock)
-            alone |= ended
+            after = array_sliding_step(x, v, h, tuple(body), tuple(drive), levels, damping, tables[0], lock)
+            alone |= array_leaves(x, after, v, h, tuple(drive), has_dry, near_limit)
+            x = after
         since += n * h
         left = np.flatnonzero(alone).tolist()
         for m in left:

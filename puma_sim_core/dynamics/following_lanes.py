@@ -1,9 +1,8 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
-"""`following` of several models side by side in the lanes of `lanes`: arms with the same joints, with or without dry
-friction that has one level for each direction, limits of the current and motors without inductance.
+"""`following` of several models side by side in the lanes of `lanes`: arms with the same joints and the same stages.
 
-In most rows joints slide in one direction and no current comes near its limit: friction is then a torque that stays
-the same, and a lane needs no branch. A row in which that does not hold of a lane (a joint with dry friction rests or
+In most rows joints slide in one direction and no current comes near its limit: a lane then needs no search for the
+moment at which a contact ends. A row in which that does not hold of a lane (a joint with dry friction rests or
 reverses, a current may meet its limit) is taken again by `following`, of that lane alone.
 """
 
@@ -11,8 +10,27 @@ from collections.abc import Callable
 from typing import Any
 
 from puma_sim_core.dynamics.contact import passing
+from puma_sim_core.dynamics.effect_lanes import LANE_BY_LANE, effect_step
 from puma_sim_core.dynamics.following import moved_by, predicted
-from puma_sim_core.dynamics.lanes import LANE_NUMBERS, LANES, in_lane, lane_of, lane_step, one_of_two, put_state
+from puma_sim_core.dynamics.lane_places import (
+    ALONE,
+    before_of,
+    body_of,
+    damping_of,
+    drive_of,
+    has_dry_of,
+    levels_of,
+    model_of,
+    near_limit_of,
+    put_before,
+    put_state,
+    put_volts,
+    stage_of,
+    state_of,
+    step_drive_of,
+    volts_of,
+)
+from puma_sim_core.dynamics.lanes import LANES, lane_step, one_of_two
 from puma_sim_core.dynamics.laws import (
     ALGEBRAIC,
     AT_REST,
@@ -24,29 +42,45 @@ from puma_sim_core.dynamics.laws import (
     current_bound,
 )
 from puma_sim_core.dynamics.runs import advance, terminals
-from puma_sim_core.dynamics.types import STILL, Drive, Model, Rows, State
-from puma_sim_core.jit import Table, Vec, compiled, fitting, inlined, outlined, written
+from puma_sim_core.dynamics.torques import has_dry
+from puma_sim_core.dynamics.types import STILL, Model, Rows, State
+from puma_sim_core.jit import Table, Vec, compiled, fitting, inlined, outlined
 
+#: stages whose steps are vector instructions throughout: dry friction has one level for each direction
+SLIDING = DRY | CURRENT_LIMIT | ALGEBRAIC | LOCKED
 #: stages that a model in a lane may have
-IN_LANES = DRY | CURRENT_LIMIT | ALGEBRAIC | LOCKED
-#: numbers of one lane: those of `lanes`, those of `limits`, viscous friction with the back-EMF of motors without
-#: inductance in it (`circuit.with_damping`), the state at the start of a row, and 1.0 where it is to be taken again
-LIMITS, DAMPING, BEFORE, ALONE = LANE_NUMBERS, LANE_NUMBERS + 9, LANE_NUMBERS + 12, LANE_NUMBERS + 21
-FOLLOWED = ALONE + 1
+IN_LANES = SLIDING | LANE_BY_LANE
 #: share of its limit from which a current may meet it within a step
 CLEAR = 0.9
 #: no drive is cut off
 _ON = (1.0, 1.0, 1.0)
 
 
-def build_sliding(step: Callable[..., Any], one_of_two: Callable[..., Any]) -> Callable[..., Any]:
-    """A step whose joints slide as at its start, on top of one like `lanes.lane_step`: (x, v, h, body, drive, limits,
-    damping, p, lock) -> state, and whether it does not hold."""
+def build_sliding(
+    step: Callable[..., Any], one_of_two: Callable[..., Any]
+) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """A step whose joints slide as at its start, on top of one like `lanes.lane_step`: (x, v, h, body, drive, levels,
+    damping, p, lock) -> state; and whether a step does not hold: (x, after, v, h, drive, has_dry, near_limit) -> true
+    where a joint with dry friction rests or reverses, or a current may meet its limit."""
 
     @inlined
-    def ends(w: Table, after: Table, positive: Table, negative: Table) -> Table:
-        """Whether a joint with dry friction rests or reverses."""
-        return (positive + negative > 0.0) & (w * after <= 0.0)
+    def sliding_step(
+        x: Vec, v: Vec, h: float, body: Vec, drive: Vec, levels: Vec, damping: Vec, p: Table, lock: Vec
+    ) -> Vec:
+        q1, q2, q3, w1, w2, w3, i1, i2, i3 = x
+        f1, f2, f3, n1, n2, n3 = levels
+        d1, d2, d3 = damping
+        y1, r1, k1, t1, _, y2, r2, k2, t2, _, y3, r3, k3, t3, _ = drive
+        damped = (y1, r1, k1, t1, d1, y2, r2, k2, t2, d2, y3, r3, k3, t3, d3)
+        through = (
+            one_of_two(y1 == 0.0, v[0] / r1, i1),
+            one_of_two(y2 == 0.0, v[1] / r2, i2),
+            one_of_two(y3 == 0.0, v[2] / r3, i3),
+        )
+        friction = one_of_two(w1 > 0.0, f1, -n1), one_of_two(w2 > 0.0, f2, -n2), one_of_two(w3 > 0.0, f3, -n3)
+        slip, model = (0.0, 0.0, 0.0, *friction), Model(body, damped, DRY | LOCKED)
+        after, _ = step((q1, q2, q3, w1, w2, w3, *through), UNBENT, v, h, model, p, lock, slip)
+        return after
 
     @inlined
     def near(i: Table, v: Table, w: Table, y: Table, r: Table, k: Table, h: float, limit: Table) -> Table:
@@ -58,29 +92,21 @@ def build_sliding(step: Callable[..., Any], one_of_two: Callable[..., Any]) -> C
         return abs(i) + h * abs((v - r * i - k * w) * y) >= limit
 
     @inlined
-    def sliding_step(
-        x: Vec, v: Vec, h: float, body: Vec, drive: Vec, limits: Vec, damping: Vec, p: Table, lock: Vec
-    ) -> tuple[Vec, Table]:
-        q1, q2, q3, w1, w2, w3, i1, i2, i3 = x
-        f1, f2, f3, n1, n2, n3, c1, c2, c3 = limits
-        d1, d2, d3 = damping
-        y1, r1, k1, t1, _, y2, r2, k2, t2, _, y3, r3, k3, t3, _ = drive
-        damped = (y1, r1, k1, t1, d1, y2, r2, k2, t2, d2, y3, r3, k3, t3, d3)
-        through = (
-            one_of_two(y1 == 0.0, v[0] / r1, i1),
-            one_of_two(y2 == 0.0, v[1] / r2, i2),
-            one_of_two(y3 == 0.0, v[2] / r3, i3),
-        )
-        friction = one_of_two(w1 > 0.0, f1, -n1), one_of_two(w2 > 0.0, f2, -n2), one_of_two(w3 > 0.0, f3, -n3)
-        slip, model = (0.0, 0.0, 0.0, *friction), Model(body, damped, DRY | LOCKED)
-        z, _ = step((q1, q2, q3, w1, w2, w3, *through), UNBENT, v, h, model, p, lock, slip)
-        alone = ends(w1, z[3], f1, n1) | ends(w2, z[4], f2, n2) | ends(w3, z[5], f3, n3)
-        alone = alone | near(i1, v[0], w1, y1, r1, k1, h, c1) | near(z[6], v[0], z[3], y1, r1, k1, 0.0, c1)
-        alone = alone | near(i2, v[1], w2, y2, r2, k2, h, c2) | near(z[7], v[1], z[4], y2, r2, k2, 0.0, c2)
-        alone = alone | near(i3, v[2], w3, y3, r3, k3, h, c3) | near(z[8], v[2], z[5], y3, r3, k3, 0.0, c3)
-        return z, alone
+    def leaves(x: Vec, after: Vec, v: Vec, h: float, drive: Vec, has_dry: Vec, near_limit: Vec) -> Table:
+        y1, r1, k1, _, _, y2, r2, k2, _, _, y3, r3, k3, _, _ = drive
+        c1, c2, c3 = near_limit
+        out = (has_dry[0] > 0.0) & (x[3] * after[3] <= 0.0)
+        out = out | (has_dry[1] > 0.0) & (x[4] * after[4] <= 0.0)
+        out = out | (has_dry[2] > 0.0) & (x[5] * after[5] <= 0.0)
+        out = out | near(x[6], v[0], x[3], y1, r1, k1, h, c1) | near(after[6], v[0], after[3], y1, r1, k1, 0.0, c1)
+        out = out | near(x[7], v[1], x[4], y2, r2, k2, h, c2) | near(after[7], v[1], after[4], y2, r2, k2, 0.0, c2)
+        out = out | near(x[8], v[2], x[5], y3, r3, k3, h, c3) | near(after[8], v[2], after[5], y3, r3, k3, 0.0, c3)
+        return out
 
-    return sliding_step
+    return sliding_step, leaves
+
+
+sliding_step, leaves = build_sliding(lane_step, one_of_two)
 
 
 @inlined
@@ -99,18 +125,8 @@ def moved(x: Vec, e: Vec, gain: Table) -> Vec:
     )
 
 
-sliding_step = build_sliding(lane_step, one_of_two)
-#: (a, m) -> the numbers of `limits` and the damping of lane m, and its state at the start of a row; (a, m, active) ->
-#: its model
-limits_of = written("limits_of", "a, m", [f"return ({', '.join(in_lane(LIMITS, 9))})"], {})
-damping_of = written("damping_of", "a, m", [f"return ({', '.join(in_lane(DAMPING, 3))})"], {})
-_MODEL = f"return Model(({', '.join(in_lane(12, 20))}), Drive({', '.join(in_lane(32, 15))}), active)"
-model_of = written("model_of", "a, m, active", [_MODEL], {"Model": Model, "Drive": Drive})
-before_of = written("before_of", "a, m", [f"return ({', '.join(in_lane(BEFORE, 9))})"], {})
-
-
 @compiled
-def _limits(p: Table) -> Vec:
+def _bounds(p: Table) -> Vec:
     return (
         constant_level(0, 1.0, p),
         constant_level(1, 1.0, p),
@@ -118,15 +134,18 @@ def _limits(p: Table) -> Vec:
         constant_level(0, -1.0, p),
         constant_level(1, -1.0, p),
         constant_level(2, -1.0, p),
+        1.0 if has_dry(0, p) else 0.0,
+        1.0 if has_dry(1, p) else 0.0,
+        1.0 if has_dry(2, p) else 0.0,
         CLEAR * current_bound(0, p),
         CLEAR * current_bound(1, p),
         CLEAR * current_bound(2, p),
     )
 
 
-def limits(p: Table) -> Vec:
-    """Levels of friction [N.m] in positive and in negative direction, and currents [A] that are near their limit."""
-    return fitting(_limits, p)(p)
+def bounds(p: Table) -> Vec:
+    """The numbers of a lane from `LEVELS` on, up to its damping."""
+    return fitting(_bounds, p)(p)
 
 
 @outlined
@@ -143,11 +162,23 @@ def moved_alone(x: Vec, e: Vec, v: Vec, over: float, t: float, gain: Table, mode
 
 @inlined
 def slide(a: Table, h: float, p: Table, lock: Vec) -> None:
-    """One step of all lanes that slide."""
+    """One step of lanes that have stages of `SLIDING` alone."""
     for m in range(LANES):
-        x, v, body, drive = lane_of(a, m)
-        y, alone = sliding_step(x, v, h, body, drive, limits_of(a, m), damping_of(a, m), p, lock)
-        put_state(a, m, y)
+        x, v, drive = state_of(a, m), volts_of(a, m), drive_of(a, m)
+        after = sliding_step(x, v, h, body_of(a, m), drive, levels_of(a, m), damping_of(a, m), p, lock)
+        alone = leaves(x, after, v, h, drive, has_dry_of(a, m), near_limit_of(a, m))
+        put_state(a, m, after)
+        a[ALONE * LANES + m] = one_of_two(alone, 1.0, a[ALONE * LANES + m])
+
+
+@inlined
+def slide_with_effects(a: Table, h: float, t: float, active: int, tables: Table, lock: Vec) -> None:
+    """One step of lanes that have others."""
+    effect_step(a, h, t, active, tables, lock)
+    for m in range(LANES):
+        x, after, drive = state_of(a, m), stage_of(a, m), step_drive_of(a, m)
+        alone = leaves(x, after, volts_of(a, m), h, drive, has_dry_of(a, m), near_limit_of(a, m))
+        put_state(a, m, after)
         a[ALONE * LANES + m] = one_of_two(alone, 1.0, a[ALONE * LANES + m])
 
 
@@ -167,10 +198,10 @@ def follow_lanes(
 ) -> None:
     """Innovations of one group of LANES models that follow a measured motion.
 
-    a : flat, FOLLOWED * LANES, number k of lane m at k * LANES + m, moved on; active : stages of all of them, of
-    `IN_LANES`; rows : commanded voltages and steps; measured (n, 3) [rad], at the ends of the rows; corrected (n,),
-    gain (9,) and parts (LANES,) as for `following.Track`; tables (LANES, ...) : packed effects of each lane; alike :
-    whether those on the voltages are the same; lock : of all; out (LANES, n, 3): the innovations [rad].
+    a : flat, FOLLOWED * LANES, the numbers of `lane_places`, moved on; active : stages of all of them, of `IN_LANES`;
+    rows : commanded voltages and steps; measured (n, 3) [rad], at the ends of the rows; corrected (n,), gain (9,) and
+    parts (LANES,) as for `following.Track`; tables (LANES, ...) : packed effects of each lane; alike : whether those on
+    the voltages are the same; lock : of all; out (LANES, n, 3): the innovations [rad].
     """
     since = 0.0
     for r in range(len(rows.count)):
@@ -179,30 +210,31 @@ def follow_lanes(
         for m in range(LANES):
             if not alike:
                 v = terminals(rows.voltage, r, tables[m])
-            for k in range(3):
-                a[(9 + k) * LANES + m] = v[k]
-            for k in range(9):
-                a[(BEFORE + k) * LANES + m] = a[k * LANES + m]
+            put_volts(a, m, v)
+            put_before(a, m, state_of(a, m))
             a[ALONE * LANES + m] = 0.0
-        for _ in range(n):
-            slide(a, h, tables[0], lock)
+        for k in range(n):
+            if active & LANE_BY_LANE:
+                slide_with_effects(a, h, t + k * h, active, tables, lock)
+            else:
+                slide(a, h, tables[0], lock)
         since += n * h
         for m in range(LANES):
             if a[ALONE * LANES + m] != 0.0:
-                _, v, _, _ = lane_of(a, m)
                 model = model_of(a, m, active)
-                put_state(a, m, row_alone(before_of(a, m), v, t, h, n, model, parts[m], tables[m], lock))
+                x = row_alone(before_of(a, m), volts_of(a, m), t, h, n, model, parts[m], tables[m], lock)
+                put_state(a, m, x)
         for j in range(3):
             for m in range(LANES):
                 out[m, r, j] = measured[r][j] - a[j * LANES + m]
         if not corrected[r]:
             continue
+        end = t + n * h
         for m in range(LANES):
-            e = (out[m, r, 0], out[m, r, 1], out[m, r, 2])
-            x, v, _, _ = lane_of(a, m)
+            x, e = state_of(a, m), (out[m, r, 0], out[m, r, 1], out[m, r, 2])
             if a[ALONE * LANES + m] != 0.0:
-                model = model_of(a, m, active)
-                put_state(a, m, moved_alone(x, e, v, since, t + n * h, gain, model, tables[m], lock))
+                model, v = model_of(a, m, active), volts_of(a, m)
+                put_state(a, m, moved_alone(x, e, v, since, end, gain, model, tables[m], lock))
             else:
                 put_state(a, m, moved(x, e, gain))
         since = 0.0

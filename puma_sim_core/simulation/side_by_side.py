@@ -11,7 +11,8 @@ import numpy as np
 
 from puma_sim_core.dynamics.array_lanes import follow_arrays
 from puma_sim_core.dynamics.circuit import with_damping
-from puma_sim_core.dynamics.following_lanes import DAMPING, FOLLOWED, IN_LANES, LIMITS, follow_lanes, limits
+from puma_sim_core.dynamics.following_lanes import IN_LANES, SLIDING, bounds, follow_lanes
+from puma_sim_core.dynamics.lane_places import DAMPING, FOLLOWED, LEVELS
 from puma_sim_core.dynamics.lanes import LANES
 from puma_sim_core.dynamics.types import STILL
 from puma_sim_core.effects.base import VOLTAGE, Effect
@@ -22,6 +23,8 @@ from puma_sim_core.simulation.simulator import Simulator
 
 #: models that one call takes: those that share registers or, in plain Python, as many as there are
 TOGETHER = LANES if BACKEND == "numba" else 1024
+#: stages that these may have: arrays take none of which the torques depend on more than the direction of motion
+_STAGES = IN_LANES if BACKEND == "numba" else SLIDING
 #: models from which on they take less time together than one by one: two where all lanes slide and eight where none
 #: does; arrays take what 16 models do
 LEAST_TOGETHER = LANES // 2 if BACKEND == "numba" else 16
@@ -32,7 +35,7 @@ def goes_side_by_side(plant: Plant, first: Plant) -> bool:
     the same stages of the kernel, of those that lanes have."""
     active = plant.constants.active
     alike = plant.axes == first.axes and plant.rest == first.rest and active == first.constants.active
-    return alike and active & ~IN_LANES == 0
+    return alike and active & ~_STAGES == 0
 
 
 def _on_voltage(simulator: Simulator) -> tuple[Effect, ...]:
@@ -60,7 +63,7 @@ def innovations_side_by_side(
     for lane, simulator in enumerate(filled):
         model = simulator.constants.model
         numbers[0:9, lane], numbers[12:32, lane], numbers[32:47, lane] = simulator.state, model.body, model.drive
-        numbers[LIMITS : LIMITS + 9, lane] = limits(tables[lane])
+        numbers[LEVELS:DAMPING, lane] = bounds(tables[lane])
         _, damped = interpreted(with_damping)(simulator.state, STILL, model)
         numbers[DAMPING : DAMPING + 3, lane] = damped.drive[4::5]
     edges, first = np.ascontiguousarray(time), simulators[0]
