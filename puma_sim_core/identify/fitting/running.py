@@ -78,7 +78,7 @@ class Running:
             back = [self._further(point, pairs[k - len(moved)], -FITTING.effect_difference) for k in again]
             for k, column in zip(again, self._differences_to(point, back)):
                 found[k] = column
-        out = np.zeros((*self._at(point).shape, len(found)))
+        out = np.zeros((sum(self.predictor.lengths), self.mechanism.joints, len(found)))
         for k, column in enumerate(found):
             if column is not None:
                 out[:, :, k] = column
@@ -89,10 +89,12 @@ class Running:
         given = [(n, other) for n, (other, _) in enumerate(to) if other is not None]
         # with the model itself in a lane too, what lanes differ by falls out of the differences
         (first, first_beside), *rest = self.many([point, *(other for _, other in given)])
+        if first is None:
+            raise cannot_be_run()
         out: list[Floats | None] = [None] * len(to)
         for (n, _), (errors, beside) in zip(given, rest):
-            raw = first if first is not None and first_beside == beside else self._at(point)
-            if errors is not None:
+            raw = first if first_beside == beside else self.one(point)
+            if errors is not None and raw is not None:
                 out[n] = (errors - raw) / to[n][1]
         return out
 
@@ -102,12 +104,6 @@ class Running:
         effect = point.effects[number]
         effects = with_value(point.effects, number, name, effect.values[name] + share * size_of(effect, name))
         return None if effects is None else Point(point.theta, effects), share
-
-    def _at(self, point: Point) -> Floats:
-        raw = self.one(point)
-        if raw is None:
-            raise cannot_be_run()
-        return raw
 
     def _plant(self, point: Point) -> Plant | None:
         try:
