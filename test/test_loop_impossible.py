@@ -1,6 +1,8 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Values that no machine has: they are not named, and do not let a verdict say that nothing is missing."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from loop_fits import lacking
@@ -9,6 +11,9 @@ from loop_logs import record
 from puma_sim_core.effects import KINDS, Effect, parse_effect
 from puma_sim_core.effects.screening import reached
 from puma_sim_core.identify import explain
+from puma_sim_core.identify.fitting.trial import IMPOSSIBLE, Trial
+from puma_sim_core.identify.screening.evidence import Scored
+from puma_sim_core.identify.selection import refits
 from puma_sim_core.plant.mechanism_file import load_mechanism
 
 pytestmark = pytest.mark.long
@@ -56,3 +61,42 @@ def test_an_effect_of_a_size_that_no_machine_has_is_no_name_and_not_nothing():
     assert (found.verdict, found.effects) == ("UNNAMED", ())
     assert "voltage dead-band on joint 1 has" in found.sentence
     assert " mV, less than any machine has (35.2 mV)" in found.sentence
+
+
+@pytest.mark.parametrize("current", [0.043, 0.02])
+def test_a_drive_may_be_set_to_any_limit_that_leaves_the_motion(current):
+    """Seen on a blind record: 0.262 A where machines have 0.267 A at least, and a log at its limit was a data fault."""
+    mechanism = load_mechanism("pendulum")
+    log = record(mechanism, mechanism.plant(effects=(parse_effect(f"current_limit:joint=1,current={current}"),)), 0.02)
+    found = explain(log, plant="pendulum")
+    assert (found.verdict, [(e.name, e.joint) for e in found.effects]) == ("NAMED", [("current_limit", 1)])
+    assert found.effects[0].parameters["current"].value == pytest.approx(current, rel=0.05)
+
+
+def test_fits_that_ran_away_are_those_of_more_gain_than_all_that_explain():
+    """Seen on a blind record: about parameters that a payload had stretched a limit of 1 A ran off to 176 A, which no
+    machine has, and was not tried from the nominal ones."""
+
+    def trial(name, gain, problem=None):
+        effect = parse_effect(KINDS[name].example)
+        fitted = SimpleNamespace(point=SimpleNamespace(effects=(effect,)))
+        return Trial(Scored(name, effect.joint, gain), gain, 0.0, fitted, 0.0, problem)
+
+    impossible = f"{IMPOSSIBLE}: current 176 A"
+    named, away = trial("coulomb_friction", 90.0), trial("current_limit", 100.0, impossible)
+    behind = trial("joint_spring", 80.0, impossible)
+    unresolved = trial("backlash", 900.0, "not clearly more than nothing")
+    assert refits._run_away([behind, named, unresolved, away]) == [away]
+    assert refits._run_away([behind, away]) == [away, behind]
+    # a wrong zero explains a log with any value
+    assert refits._run_away([trial("encoder_offset", 200.0, impossible), away]) == []
+    assert refits._run_away([trial("current_limit", 10.0, impossible)]) == []
+
+
+def test_a_limit_that_leaves_no_motion_is_none_of_a_machine():
+    _, trials, _ = lacking(parse_effect("coulomb_friction:joint=1,torque=0.05"))
+    needed = np.sqrt(np.mean(trials.problem.signals(trials.mechanism.start).current ** 2))
+    for share, refused in ((0.6, False), (0.04, True)):
+        limit = parse_effect(f"current_limit:joint=1,current={share * needed}")
+        assert ("less than any machine has" in (trials.implausible(limit) or "")) == refused
+    assert 0.04 * needed < 0.043 < 0.6 * needed

@@ -294,9 +294,26 @@ class Trials:
             if parameter.role is Role.RATE and value < least / FITTING.below_plausible:
                 return less
             if parameter.role is Role.SIZE:
-                small.append(None if abs(value) >= least / FITTING.below_plausible else less)
+                enough = abs(value) >= least / FITTING.below_plausible or self._leaves_motion(effect, parameter)
+                small.append(None if enough else less)
         # too small only if all of its sizes are
         return small[-1] if small and all(small) else None
+
+    def _leaves_motion(self, effect: Effect, parameter: Parameter) -> bool:
+        """Whether a limit leaves what the motion takes: a drive may be set to any such limit, however small."""
+        if parameter.neutral != np.inf or effect.joint is None:
+            return False
+        taken = self._taken[parameter.unit][effect.joint - 1]
+        return bool(effect.values[parameter.name] >= FITTING.limit_of_motion * taken)
+
+    @cached_property
+    def _taken(self) -> dict[str, Floats]:
+        """Unit -> (J,) root mean squares of current [A] and voltage [V] that the motion takes by the start parameters
+        without dry friction."""
+        signals = self.problem.signals(self.mechanism.start)
+        volts = signals.volts_per_torque * signals.torque + signals.emf * signals.velocity
+        taken = {"A": signals.current, "V": volts}
+        return {unit: np.sqrt(np.mean(values**2, axis=0)) for unit, values in taken.items()}
 
     def _on_bound(self, effect: Effect) -> str | None:
         """Why a parameter that was fitted has no value: it stands on a bound of its law, zero apart, which is none."""

@@ -4,7 +4,7 @@
 Each method is a pass: it takes a state of the selection and gives one with other trials.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from itertools import product
 
@@ -79,12 +79,13 @@ class Refits:
         So do those of which the screening saw most, of the trials that gain less than it saw: the best by their gain
         may all be the model without their effect at other parameters, and no fit about stretched ones keeps what is
         seen of an effect that these took up. And so do those without a screening, such as a limit, that fit better than
-        none at the nominal parameters.
+        none at the nominal parameters, and those that would be the best but for values that no machine has: about
+        stretched parameters a fit may run away.
         """
         if not state.model.point.stretched(self.predictor.mechanism):
             return state
         possible = [t for t in state.trials if t.explains]
-        best = sorted(possible, key=lambda t: -t.gain)[: SELECTION.most_polished]
+        best = sorted(possible, key=lambda t: -t.gain)[: SELECTION.most_polished] + _run_away(state.trials)
         share = SELECTION.relinearised_share * max((t.scored.gain for t in possible), default=0.0)
         seen = max(SELECTION.least_gain, share)
         behind = (t for t in possible if t not in best and t.gain < t.scored.gain > seen)
@@ -277,6 +278,14 @@ class Refits:
         jacobian = fit.derivatives(about, state.model.names, state.nearby)
         found = self.trials.run(self.trials.base(state.model, state.noise, jacobian), trial.scored, start)
         return max(trial, found, key=lambda t: t.gain)
+
+
+def _run_away(trials: Iterable[Trial]) -> list[Trial]:
+    """Trials of more gain than all that explain, with values that no machine has."""
+    trials = list(trials)
+    top = max((t.gain for t in trials if t.explains), default=0.0)
+    wrong = (t for t in trials if t.impossible and not t.explains and t.gain > max(top, SELECTION.least_gain))
+    return sorted(wrong, key=lambda t: -t.gain)[: SELECTION.most_polished]
 
 
 def _sizes(effect: Effect) -> dict[str, float]:

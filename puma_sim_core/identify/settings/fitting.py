@@ -141,6 +141,9 @@ class Fitting:
     untried_share: float = 0.03  #: and share of the gain [calibrated]
     above_plausible: float = 2.0  #: how far above its greatest plausible size a parameter may be [calibrated]
     below_plausible: float = 4.0  #: and below the least [calibrated]
+    #: share of what a motion takes at root mean square that a limit leaves: the start parameters may be wrong by a
+    #: factor of two
+    limit_of_motion: float = 0.5
     at_bound: float = 1e-6  #: of a bound of a law, within which a fitted parameter stands on it
 
     # --- scatter of scores between blocks (`dispersion`)
