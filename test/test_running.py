@@ -11,7 +11,8 @@ import pytest
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.identify.data.log import Log
-from puma_sim_core.identify.fitting import running
+from puma_sim_core.identify.fitting import predictor as predictor_module
+from puma_sim_core.identify.fitting import running, together
 from puma_sim_core.identify.fitting.point import Point
 from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.fitting.running import Running
@@ -65,6 +66,22 @@ def test_models_of_enough_others_with_the_same_stages_go_side_by_side():
             assert ran.errors is None and runs.one(point) is None
         else:
             np.testing.assert_allclose(ran.errors, along.errors(point.plant(ARM)), rtol=0.0, atol=1e-14)
+
+
+def test_one_that_has_no_state_to_start_from_leaves_the_others_as_they_are(monkeypatch):
+    along, given = predictor(), points(LEAST_TOGETHER + 1, "coulomb_friction:joint=2,torque=6")
+    usual = Running(along).many(given)
+
+    def started(plant, stretch, step):
+        if plant.arm == given[1].plant(ARM).arm:
+            raise ParameterError("no state", expected="one")
+        return predictor_module.started(plant, stretch, step)
+
+    monkeypatch.setattr(together, "started", started)
+    found = Running(along).many(given)
+    assert found[1].errors is None
+    for n in (0, *range(2, len(given))):
+        np.testing.assert_array_equal(found[n].errors, usual[n].errors)
 
 
 def test_models_of_logs_with_a_drive_that_is_off_run_one_by_one():

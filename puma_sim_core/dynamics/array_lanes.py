@@ -57,7 +57,7 @@ def follow_arrays(
         left = np.flatnonzero(alone).tolist()
         for m in left:
             own, v = _column(before, m), volts[0 if alike else m]
-            _put_column(x, m, _or_none(row_alone, own, v, t, h, n, models[m], parts[m], tables[m], lock))
+            _put_column(x, m, _or_nan(row_alone, own, v, t, h, n, models[m], parts[m], tables[m], lock))
         e = tuple(measured[r][j] - x[j] for j in range(3))
         out[:, r] = np.transpose(e)
         if not corrected[r]:
@@ -65,7 +65,7 @@ def follow_arrays(
         slid, x = x, moved(x, e, gain)
         for m in left:
             own, seen, v = _column(slid, m), _column(e, m), volts[0 if alike else m]
-            _put_column(x, m, _or_none(moved_alone, own, seen, v, since, t + n * h, gain, models[m], tables[m], lock))
+            _put_column(x, m, _or_nan(moved_alone, own, seen, v, since, t + n * h, gain, models[m], tables[m], lock))
         since = 0.0
     return out
 
@@ -79,7 +79,7 @@ def _put_column(arrays: Any, m: int, values: Vec) -> None:
         one[m] = value
 
 
-def _or_none(run: Callable[..., Vec], *arguments: Any) -> Vec:
+def _or_nan(run: Callable[..., Vec], *arguments: Any) -> Vec:
     """What plain Python makes of a state, not finite where it stops."""
     try:
         return plain(run)(*arguments)

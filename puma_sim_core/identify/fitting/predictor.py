@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
-from itertools import chain
 
 import numpy as np
 from scipy import fft
@@ -24,12 +23,10 @@ from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.data.sampling import changing
 from puma_sim_core.identify.fitting.steps import parts_of_steps, stable_step
 from puma_sim_core.identify.noise.weighting import Weighting, folded_response
-from puma_sim_core.identify.parallel import parallel_map
 from puma_sim_core.identify.remembered import Remembered
 from puma_sim_core.identify.settings import FITTING
 from puma_sim_core.plant.mechanism import Mechanism
 from puma_sim_core.plant.plant import Plant
-from puma_sim_core.simulation.side_by_side import LEAST_TOGETHER, TOGETHER, goes_side_by_side, innovations_side_by_side
 from puma_sim_core.simulation.simulator import Simulator
 from puma_sim_core.simulation.tracking import Tracked, innovations
 from puma_sim_core.simulation.windows import driven_current, local_motion, true_start
@@ -218,52 +215,10 @@ class Predictor:
     def _tracked(self, plant: Plant, corrected: Sequence[Bools] | None, step: float) -> list[Tracked]:
         out = []
         for number, s in enumerate(self.stretches):
-            own, simulator = None if corrected is None else corrected[number], _started(plant, s, step)
+            own, simulator = None if corrected is None else corrected[number], started(plant, s, step)
             finer = parts_of_steps(plant, step)
             out.append(innovations(simulator, s.time, s.voltage, s.position, self.gain, s.enable, own, finer))
         return out
-
-    def errors_side_by_side(self, plants: Sequence[Plant | None]) -> dict[int, Floats | None]:
-        """`errors` but for the last bits, None where a state is not finite, by the number of each plant that goes side
-        by side with enough others."""
-        if any(s.enable is not None for s in self.stretches):
-            return {}
-        groups = list[dict[int, Plant]]()
-        for n, plant in enumerate(plants):
-            if plant is None or not goes_side_by_side(plant, plant):
-                continue
-            own = next((own for own in groups if self._goes_beside(plant, next(iter(own.values())))), None)
-            if own is None:
-                groups.append({n: plant})
-            else:
-                own[n] = plant
-        out = dict[int, Floats | None]()
-        for group in groups:
-            if len(group) >= LEAST_TOGETHER:
-                out |= zip(group, self._together(list(group.values())))
-        return out
-
-    def _goes_beside(self, plant: Plant, first: Plant) -> bool:
-        step = self.greatest_step
-        return goes_side_by_side(plant, first) and stable_step(plant, step) == stable_step(first, step)
-
-    def _together(self, plants: Sequence[Plant]) -> list[Floats | None]:
-        started = [[_started(plant, s, self.greatest_step) for plant in plants] for s in self.stretches]
-        logs = [self._side_by_side(s, simulators) for s, simulators in zip(self.stretches, started)]
-        return [
-            np.concatenate(parts) if all(np.isfinite(part).all() for part in parts) else None for parts in zip(*logs)
-        ]
-
-    def _side_by_side(self, s: Stretch, simulators: Sequence[Simulator]) -> list[Floats]:
-        """Innovations (n - 1, J) of one log by several simulators."""
-        groups = [simulators[n : n + TOGETHER] for n in range(0, len(simulators), TOGETHER)]
-
-        def run(group: Sequence[Simulator]) -> list[Floats]:
-            parts = [parts_of_steps(simulator.plant, self.greatest_step) for simulator in group]
-            return innovations_side_by_side(group, s.time, s.voltage, s.position, self.gain, parts)
-
-        done = parallel_map(run, groups)
-        return list(chain.from_iterable(done))
 
     def in_volts(self, errors: Floats, cutoff: float) -> Floats:
         """(N, J) voltages [V] that the model lacks by its innovations (N, J), up to `cutoff` [Hz]: the predictor's
@@ -382,7 +337,7 @@ def _many(moving: Bools) -> Bools:
     return np.asarray(moving.sum(axis=0) >= FITTING.least_noisy_rows)
 
 
-def _started(plant: Plant, stretch: Stretch, step: float) -> Simulator:
+def started(plant: Plant, stretch: Stretch, step: float) -> Simulator:
     """A simulator at the first row of a log. step : of integration, at most [s]."""
     s = stretch
     simulator = Simulator(plant, max_step=stable_step(plant, step))

@@ -12,6 +12,7 @@ from puma_sim_core.errors import NonFiniteStateError, ParameterError
 from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.fitting.point import Pairs, Point, size_of, with_value
 from puma_sim_core.identify.fitting.predictor import Predictor
+from puma_sim_core.identify.fitting.together import errors_side_by_side
 from puma_sim_core.identify.parallel import parallel_map
 from puma_sim_core.identify.settings import FITTING
 from puma_sim_core.plant.plant import Plant
@@ -39,7 +40,7 @@ class Running:
     def many(self, points: Sequence[Point]) -> list[Ran]:
         """Those of several models: beside each other where the kernel has lanes for them, else on all cores."""
         plants = [self._plant(point) for point in points]
-        lanes = self.predictor.errors_side_by_side(plants)
+        lanes = errors_side_by_side(self.predictor, plants)
         alone = [(points[n], plant) for n, plant in enumerate(plants) if plant is not None and n not in lanes]
         runs = iter(parallel_map(lambda pair: self._alone(*pair), alone))
         return [
