@@ -9,12 +9,10 @@ the rigid body and the sums of the Runge-Kutta step (`rk4`), the compiler turns 
 from puma_sim_core.dynamics.circuit import drive_at, with_damping
 from puma_sim_core.dynamics.contact import sliding, slip_direction
 from puma_sim_core.dynamics.lane_places import (
-    body_of,
     model_of,
     put_rate,
     put_slip,
     put_stage,
-    put_state,
     put_step_drive,
     put_sum,
     put_torque,
@@ -22,14 +20,12 @@ from puma_sim_core.dynamics.lane_places import (
     rate_of,
     slip_of,
     stage_of,
-    state_of,
     step_drive_of,
     sum_of,
     torque_of,
     trig_of,
-    volts_of,
 )
-from puma_sim_core.dynamics.lanes import LANES, polynomial_trigonometry
+from puma_sim_core.dynamics.lanes import LANES, body_of, polynomial_trigonometry, put_state, state_of, volts_of
 from puma_sim_core.dynamics.laws import ALGEBRAIC, DRY, POSED, SMOOTH, TILT, TIMED, VARYING
 from puma_sim_core.dynamics.rigid import remove_rows, rigid_body, solve
 from puma_sim_core.dynamics.rk4 import ARM

@@ -15,22 +15,26 @@ from puma_sim_core.dynamics.following import moved_by, predicted
 from puma_sim_core.dynamics.lane_places import (
     ALONE,
     before_of,
-    body_of,
     damping_of,
-    drive_of,
     has_dry_of,
     levels_of,
     model_of,
     near_limit_of,
     put_before,
+    stage_of,
+    step_drive_of,
+)
+from puma_sim_core.dynamics.lanes import (
+    LANES,
+    body_of,
+    drive_of,
+    lane_step,
+    one_of_two,
     put_state,
     put_volts,
-    stage_of,
     state_of,
-    step_drive_of,
     volts_of,
 )
-from puma_sim_core.dynamics.lanes import LANES, lane_step, one_of_two
 from puma_sim_core.dynamics.laws import (
     ALGEBRAIC,
     AT_REST,

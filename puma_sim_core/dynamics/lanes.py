@@ -80,18 +80,27 @@ def in_lane(first: int, count: int) -> list[str]:
     return [f"a[{LANES * number} + m]" for number in range(first, first + count)]
 
 
-#: (a, m) -> state, voltages, body and drive of lane m; (a, m, y) puts the state y in it
-_PARTS = ["(" + ", ".join(in_lane(*part)) + ")" for part in ((0, 9), (9, 3), (12, 20), (32, 15))]
-lane_of = written("lane_of", "a, m", [f"return {', '.join(_PARTS)}"], {})
-put_state = written("put_state", "a, m, y", [f"{place} = y[{k}]" for k, place in enumerate(in_lane(0, 9))], {})
+def lane_reader(first: int, count: int) -> Callable[..., Any]:
+    """(a, m) -> as many numbers of lane m."""
+    return written("read", "a, m", [f"return ({', '.join(in_lane(first, count))})"], {})
+
+
+def lane_writer(first: int, count: int) -> Callable[..., Any]:
+    """(a, m, y) puts as many numbers in lane m."""
+    return written("write", "a, m, y", [f"{place} = y[{k}]" for k, place in enumerate(in_lane(first, count))], {})
+
+
+state_of, put_state = lane_reader(0, 9), lane_writer(0, 9)
+volts_of, put_volts = lane_reader(9, 3), lane_writer(9, 3)
+body_of, drive_of = lane_reader(12, 20), lane_reader(32, 15)
 
 
 @inlined
 def step_lanes(a: Table, h: float, p: Table) -> None:
     """One step of all lanes; a: flat, number k of lane l at k * LANES + l."""
     for m in range(LANES):
-        x, v, body, drive = lane_of(a, m)
-        y, _ = lane_step(x, UNBENT, v, h, Model(body, drive, 0), p, FREE, NO_SLIP)
+        model = Model(body_of(a, m), drive_of(a, m), 0)
+        y, _ = lane_step(state_of(a, m), UNBENT, volts_of(a, m), h, model, p, FREE, NO_SLIP)
         put_state(a, m, y)
 
 
