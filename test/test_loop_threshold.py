@@ -51,6 +51,7 @@ def choosing(threshold):
         _beside=lambda state, trial: True,
         _in_place=lambda trial, best: True,
         _common=lambda accepted, passing: accepted,
+        _first_friction=lambda stage: None,
     )
 
 
@@ -106,6 +107,91 @@ def test_each_of_the_two_kinds_of_effects_has_half_of_the_probability():
     assert found == Threshold(level(dry, half), level(other, half))
 
 
+def with_friction(threshold, beside=True):
+    """Decides by a threshold and by the share of the best gain, and takes the first dry friction of a joint."""
+    chooser = choosing(threshold)
+    chooser.library = KINDS
+    chooser._beside = lambda state, trial: beside
+    chooser._in_place = lambda trial, best: Selection._in_place(chooser, trial, best)
+    chooser._first_friction = lambda stage: Selection._first_friction(chooser, stage)
+    return chooser
+
+
+def test_the_first_dry_friction_needs_no_more_than_chance_gives_and_its_odds_ask_for():
+    """All but every drive has it: 6 nat are a name where chance gives 4, whatever else gains more and is none."""
+    friction, offset = (
+        replace(trial((name, 1), gain), fitted=fitted())
+        for name, gain in (("load_dependent_friction", 6.0), ("voltage_offset", 15.5))
+    )
+    asked = Threshold(dry=4.0, other=16.0)
+    start = replace(state_of([]), trials=(offset, friction))
+    assert Selection.decide(with_friction(asked), start).history[-1].accepted == friction
+    # not below what chance gives, nor where it is not better than none by its own standard errors
+    assert Selection.decide(with_friction(replace(asked, dry=7.0)), start).history[-1].accepted is None
+    assert Selection.decide(with_friction(asked, beside=False), start).history[-1].accepted is None
+    # nor as the second of its joint
+    second = replace(asked, rubbing=frozenset({1}))
+    assert Selection.decide(with_friction(second), start).history[-1].accepted is None
+    # what may be named goes first
+    named = replace(start, trials=(replace(offset, gain=40.0), friction))
+    assert Selection.decide(with_friction(asked), named).history[-1].accepted.name == "voltage_offset"
+
+
+def test_that_nothing_is_missing_is_refuted_by_the_gain_of_a_name_alone():
+    """Friction of a size that no machine has, by a few nat, speaks of nothing."""
+    problem = "it would need an impossible value: coefficient 3, more than any machine has"
+    friction = replace(trial(("load_dependent_friction", 1), 6.0), problem=problem, fitted=fitted())
+    for gain, refutes in ((6.0, False), (17.0, True)):
+        state = replace(state_of([]), trials=(replace(friction, gain=gain),))
+        stage = Selection.decide(with_friction(Threshold(dry=4.0, other=16.0)), state).history[-1]
+        assert (stage.refuting is not None) == refutes and stage.accepted is None
+
+
+def test_what_the_first_friction_needs_is_asked_of_chance_where_a_trial_may_be_it():
+    """Else the surrogates are not screened: they take as long as a stage's screening."""
+    kinds = SimpleNamespace(library=KINDS)
+    for one, may in (
+        (trial(A, SELECTION.least_dry + 0.1), True),
+        (trial(A, SELECTION.least_dry - 0.1), False),
+        (trial(("voltage_offset", 1), 15.0), False),
+    ):
+        state = replace(state_of([]), trials=(replace(one, fitted=fitted()),))
+        assert Selection._may_rub(kinds, state) == may
+    # not where the joint has some
+    held = state_of([Stage((trial(A, 40.0),), Threshold.alike(16.0), fitted(), trial(A, 40.0))], trial(A, 40.0))
+    assert not Selection._may_rub(kinds, replace(held, trials=(replace(trial(A, 5.0), fitted=fitted()),)))
+
+
+def test_friction_that_entered_with_little_need_not_gain_more_later():
+    """Beside what was found later it needs what chance gave in its stage; one that entered with more, a name's gain."""
+    full, bare = worse_by(0.0), worse_by(9.0)
+    found = SimpleNamespace(full=full, bare=bare, gain=9.0, dispersion=1.0)
+    judge = elimination(SimpleNamespace(predictor=CHOOSER.predictor))
+    for entered, chance, stays in ((8.0, 5.0, True), (8.0, 10.0, False), (100.0, 5.0, False)):
+        stage = Stage((), Threshold(dry=chance, other=16.0), fitted())
+        chosen = Chosen(A, 0.0, stage, entered)
+        assert judge._asked_for(replace(state_of([]), chosen=(chosen,)), chosen, found) is stays
+
+
+@pytest.mark.parametrize("gain, taken", [(4.0, True), (-1.0, False)])
+def test_friction_asked_for_beside_what_is_no_name_is_named_by_itself(gain, taken):
+    """An elasticity of 1.6 standard errors is none; the log asks for friction beside it, and has some without it."""
+    alone, elasticity = replace(trial(A, gain), fitted=fitted(A)), trial(("joint_elasticity", 1), 38.8)
+    last = Stage((elasticity, alone), Threshold(dry=6.0, other=16.0), fitted(), None)
+    found = replace(trial(A, 33.8), fitted=fitted(("joint_elasticity", 1), A))
+    beside = Stage((found,), Threshold(dry=5.0, other=40.0), fitted(), found)
+    chooser = SimpleNamespace(add=lambda state: Selection.add(None, state))
+    state = Selection._rubbing(chooser, state_of([last]), beside)
+    assert (state is not None) == taken
+    if state is not None:
+        assert state.keys == (A,) and state.chosen[0].gain == 33.8 and state.model == alone.fitted
+    # what is no dry friction, or not the first of its joint, is not taken
+    offset = replace(found, scored=replace(found.scored, name="voltage_offset"))
+    assert Selection._rubbing(chooser, state_of([last]), replace(beside, accepted=offset)) is None
+    second = replace(last, threshold=replace(last.threshold, rubbing=frozenset({1})))
+    assert Selection._rubbing(chooser, state_of([second]), beside) is None
+
+
 @pytest.mark.parametrize("less, wanted", [(7.9, "coulomb_friction"), (8.1, "voltage_dead_band")])
 def test_dry_friction_goes_before_what_is_not_clearly_better_on_its_joint(less, wanted):
     """All but every drive has it; what a log cannot tell from it is reported as tied."""
@@ -143,7 +229,7 @@ def test_beside_others_friction_is_judged_in_its_own_direction(name, gain, stays
     with_one = replace(state_of([]), model=worse_by(1.96 * errors**2), chosen=(replace(chosen, key=B),))
     assert not Selection._beside(chooser, with_one, added)
     assert Selection._beside(chooser, replace(with_one, model=worse_by(2.04 * errors**2)), added)
-    # the first of a log takes up misfit itself, which all but every drive's friction is a part of
+    # the first of a log takes up misfit itself, which all but every drive's friction is a part of; by a name's gain
     assert Selection._beside(chooser, replace(with_one, chosen=()), added) is (name == "coulomb_friction")
 
 
@@ -154,6 +240,9 @@ def test_what_nearly_every_joint_has_needs_the_same_probability_from_the_log_and
         return NormalDist().cdf(errors) / NormalDist().cdf(-errors)
 
     assert 10.0 * odds(SELECTION.dry_errors) == pytest.approx(odds(SELECTION.standard_errors), rel=0.01)
+    # in a true model the square of a standard error is twice the gain, so that 8 nat are two of them
+    assert SELECTION.least_dry == pytest.approx(2.0 * SELECTION.dry_errors**2)
+    assert SELECTION.least_gain == pytest.approx(2.0 * SELECTION.name_errors**2)
 
 
 @pytest.mark.parametrize("chosen", [(), (A,)])

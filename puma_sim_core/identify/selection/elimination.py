@@ -265,8 +265,12 @@ class Elimination:
         the latter."""
         rubbing = [key for key in state.keys if self.library[key[0]].dry and key[1] == chosen.key[1]]
         only = rubbing == [chosen.key]
-        least, errors = (1.0, SELECTION.dry_errors) if only else (found.dispersion, SELECTION.name_errors)
-        if found.gain - chosen.occam < SELECTION.least_gain * least:
+        least, errors = SELECTION.least_gain, SELECTION.dry_errors if only else SELECTION.name_errors
+        if not only:
+            least *= found.dispersion
+        elif chosen.gain < least:
+            least = chosen.stage.threshold.of(chosen.key)
+        if found.gain - chosen.occam < least:
             return False
         return errors_between(self.predictor, found.full, found.bare) > errors
 

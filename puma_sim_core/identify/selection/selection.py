@@ -140,12 +140,27 @@ class Selection:
         if ahead.history[-1].accepted is None:
             return None
         both = _through(self.addition, ahead)
-        if first.key not in both.keys or len(both.chosen) < len(state.chosen) + 2:
+        if first.key in both.keys and len(both.chosen) >= len(state.chosen) + 2:
+            gain = self.elimination.gain_beside(both, first.key)
+            if gain is not None and gain > last.needed(first):
+                chosen = tuple(replace(c, gain=gain) if c.key == first.key else c for c in both.chosen)
+                return replace(both, chosen=chosen)
+        return self._rubbing(state, ahead.history[-1])
+
+    def _rubbing(self, state: SelectionState, beside: Stage) -> SelectionState | None:
+        """The state with the first dry friction of a joint, which a stage asked for beside what may not be named.
+
+        All but every drive has that friction. The other effect may be what is missing, or stand for what is: friction
+        is there with either, if it is better than none by itself as well.
+        """
+        last, found = state.history[-1], beside.accepted
+        if found is None or not last.threshold.rubs(found.key):
             return None
-        gain = self.elimination.gain_beside(both, first.key)
-        if gain is None or gain <= last.needed(first):
+        alone = next((t for t in last.trials if t.key == found.key and t.possible and t.gain > 0.0), None)
+        if alone is None:
             return None
-        return replace(both, chosen=tuple(replace(c, gain=gain) if c.key == first.key else c for c in both.chosen))
+        accepting = replace(last, accepted=replace(alone, gain=found.gain))
+        return self.add(replace(state, history=(*state.history[:-1], accepting)))
 
     def without(self, state: SelectionState, *keys: Key) -> SelectionState:
         """The selection less some effects, fitted again."""
@@ -233,7 +248,10 @@ class Selection:
                 accepted = self._parsimonious(passing[0], passing) if passing else None
             if accepted is not None:
                 accepted = self._common(accepted, passing)
-        refuting = next((t for t in trials if t.impossible and _asked_for(t, stage) and self._beside(state, t)), None)
+        if accepted is None:
+            accepted = self._first_friction(stage)
+        wrong = (t for t in trials if t.impossible and t.gain > SELECTION.least_gain)
+        refuting = next((t for t in wrong if _asked_for(t, stage) and self._beside(state, t)), None)
         return replace(state, history=(*state.history, replace(stage, accepted=accepted, refuting=refuting)))
 
     def add(self, state: SelectionState) -> SelectionState:
@@ -313,7 +331,7 @@ class Selection:
     def _threshold(self, state: SelectionState) -> Threshold:
         """What a name needs in the noise of a state, by what chance gives."""
         best = state.best
-        if best is None or best.gain <= SELECTION.least_gain:
+        if best is None or not (best.gain > SELECTION.least_gain or self._may_rub(state)):
             return Threshold.alike(SELECTION.least_gain)
         screen, least = self._screen(state, best.model), SELECTION.least_gain
         if state.chosen:
@@ -321,7 +339,12 @@ class Selection:
             least *= dispersion(self.predictor, screen.jacobian, screen.errors, len(screen.point.theta))
         chance = self._chance(state, screen)
         # the first dry friction of a joint, beside other effects, is compared in the direction of its own (`_beside`)
-        return Threshold(max(SELECTION.least_gain, chance.dry), max(least, chance.other), state.rubbing, least)
+        return Threshold(max(SELECTION.least_dry, chance.dry), max(least, chance.other), state.rubbing, least)
+
+    def _may_rub(self, state: SelectionState) -> bool:
+        """Whether a trial may be the first dry friction of its joint."""
+        dry = (t for t in state.trials if self.library[t.name].dry and t.joint not in state.rubbing)
+        return any(t.possible and t.gain > SELECTION.least_dry for t in dry)
 
     def _beside_elsewhere(self, state: SelectionState, trial: Trial) -> Trial:
         kind, joint = self.library[trial.name], trial.joint
@@ -360,7 +383,7 @@ class Selection:
     def _beside(self, state: SelectionState, trial: Trial) -> bool:
         """Whether a trial is better than the model without it by what a name needs of standard errors."""
         rubs = self.library[trial.name].dry and trial.joint not in state.rubbing
-        if rubs and not state.chosen:
+        if rubs and not state.chosen and trial.gain > SELECTION.least_gain:
             return True
         least = SELECTION.dry_errors if rubs else SELECTION.name_errors
         return errors_between(self.predictor, trial.model, state.model) > least
@@ -374,6 +397,11 @@ class Selection:
         dry = [t for t in passing if self.library[t.name].dry and t.joint == accepted.joint]
         alike = [t for t in dry if not clearly_better(self.predictor, accepted.model, t.model)]
         return self._parsimonious(max(alike, key=lambda t: t.gain), alike) if alike else accepted
+
+    def _first_friction(self, stage: Stage) -> Trial | None:
+        """The first dry friction of a joint that a stage asks for, whatever else gains more and may not be named."""
+        passing = [t for t in stage.trials if stage.threshold.rubs(t.key) and _passes(t, stage)]
+        return self._parsimonious(passing[0], passing) if passing else None
 
     def _in_place(self, trial: Trial, best: Trial) -> bool:
         """Whether a trial may take the place of the best of a stage: what that contains, or gains nearly as much."""

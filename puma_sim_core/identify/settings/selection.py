@@ -19,6 +19,8 @@ class Selection:
     #: nine driven joints of the development machines do, so the next one has it by 10 to 1 (Laplace's rule of
     #: succession), and 4.3 to 1 are asked of the log: 81 % of a normal distribution lie below 0.88
     dry_errors: float = 0.88
+    #: gain [nat] of so many standard errors in a true model, which that friction needs beside what chance gives
+    least_dry: float = 2.0 * dry_errors**2
     least_untried: float = 25.0  #: of a name [nat] without action on the validation set [calibrated]
     #: least gain [nat] of a name that gives a joint two masses, since no placebo goes through the model: of 510 names
     #: of synthetic records wrong ones of these had 17 to 35 nat, right ones 165 and more but for one (23b9b58)
