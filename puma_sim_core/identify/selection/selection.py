@@ -151,7 +151,8 @@ class Selection:
         """The state with the first dry friction of a joint, which a stage asked for beside what may not be named.
 
         All but every drive has that friction. The other effect may be what is missing, or stand for what is: friction
-        is there with either, if it is better than none by itself as well.
+        is there with either, if it is better than none by itself as well. Its evidence is that beside the other, which
+        has nearly all the weight in an average over the models with and without that.
         """
         last, found = state.history[-1], beside.accepted
         if found is None or not last.threshold.rubs(found.key):

@@ -106,7 +106,8 @@ class Chosen:
     """An effect of the model.
 
     key : (name, joint); occam [nat] : Occam factor of its parameters; stage : the one in which it, or the effect that
-    it replaced, was accepted; gain [nat] : of log evidence over the model without it, when it entered.
+    it replaced, was accepted; gain [nat] : of log evidence over the model without it when it entered, of a pair beside
+    the other.
     """
 
     key: Key
