@@ -129,6 +129,12 @@ def test_the_first_dry_friction_needs_no_more_than_chance_gives_and_its_odds_ask
     # not below what chance gives, nor where it is not better than none by its own standard errors
     assert Selection.decide(with_friction(replace(asked, dry=7.0)), start).history[-1].accepted is None
     assert Selection.decide(with_friction(asked, beside=False), start).history[-1].accepted is None
+    # nor friction that varies, of which one level has nothing
+    varying = replace(friction, scored=replace(friction.scored, name="position_dependent_friction"))
+    for gain, accepted in ((6.0, None), (17.0, "position_dependent_friction")):
+        trials = (offset, replace(varying, gain=gain))
+        found = Selection.decide(with_friction(asked), replace(start, trials=trials)).history[-1].accepted
+        assert (found and found.name) == accepted
     # nor as the second of its joint
     second = replace(asked, rubbing=frozenset({1}))
     assert Selection.decide(with_friction(second), start).history[-1].accepted is None
@@ -154,6 +160,7 @@ def test_what_the_first_friction_needs_is_asked_of_chance_where_a_trial_may_be_i
         (trial(A, SELECTION.least_dry + 0.1), True),
         (trial(A, SELECTION.least_dry - 0.1), False),
         (trial(("voltage_offset", 1), 15.0), False),
+        (trial(("stribeck_friction", 1), 15.0), False),
     ):
         state = replace(state_of([]), trials=(replace(one, fitted=fitted()),))
         assert Selection._may_rub(kinds, state) == may

@@ -343,9 +343,9 @@ class Selection:
         return Threshold(max(SELECTION.least_dry, chance.dry), max(least, chance.other), state.rubbing, least)
 
     def _may_rub(self, state: SelectionState) -> bool:
-        """Whether a trial may be the first dry friction of its joint."""
-        dry = (t for t in state.trials if self.library[t.name].dry and t.joint not in state.rubbing)
-        return any(t.possible and t.gain > SELECTION.least_dry for t in dry)
+        """Whether a trial may be the first dry friction of its joint, in a form that contains no other."""
+        plain = (t for t in state.trials if self.library[t.name].dry and not self.library[t.name].contains)
+        return any(t.possible and t.gain > SELECTION.least_dry and t.joint not in state.rubbing for t in plain)
 
     def _beside_elsewhere(self, state: SelectionState, trial: Trial) -> Trial:
         kind, joint = self.library[trial.name], trial.joint

@@ -38,9 +38,9 @@ class Threshold:
         return KINDS[key[0]].dry and key[1] not in self.rubbing
 
     def of(self, key: Key) -> float:
-        """That of an effect."""
+        """That of an effect. What is common is dry friction of one level, or in proportion to the load."""
         if self.rubs(key):
-            return self.dry
+            return max(self.dry, SELECTION.least_gain) if KINDS[key[0]].contains else self.dry
         screening = KINDS[key[0]].screening
         return self.placed if screening is not None and screening.placed else self.other
 
