@@ -13,7 +13,8 @@ from test_loop_choice import CHOOSER, A, B, elimination, fitted, state_of, trial
 
 from puma_sim_core.effects import KINDS
 from puma_sim_core.identify.screening.surrogates import level
-from puma_sim_core.identify.selection.selection import Selection, in_both
+from puma_sim_core.identify.selection.asked import in_both
+from puma_sim_core.identify.selection.selection import Selection
 from puma_sim_core.identify.selection.state import Chosen, Stage, Threshold
 from puma_sim_core.identify.settings import FITTING, SELECTION
 from puma_sim_core.identify.standing import standings

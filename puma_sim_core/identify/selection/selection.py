@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from puma_sim_core.effects import KINDS, Kind
+from puma_sim_core.effects import Kind
 from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.fitting.dispersion import blocks, clearly_better, dispersion, errors_between
 from puma_sim_core.identify.fitting.point import Point
@@ -28,6 +28,7 @@ from puma_sim_core.identify.screening.evidence import Key
 from puma_sim_core.identify.screening.hypotheses import hypotheses, open_to
 from puma_sim_core.identify.screening.short_list import ShortList
 from puma_sim_core.identify.screening.surrogates import level
+from puma_sim_core.identify.selection.asked import asked_for, in_both, passes
 from puma_sim_core.identify.selection.elimination import Elimination
 from puma_sim_core.identify.selection.noise_choice import (
     least_of_joints,
@@ -244,7 +245,7 @@ class Selection:
         stage = Stage(trials, threshold, state.model, None, doubted, unclear)
         if accepted is not None and best is not None:
             # one that does not lower the error on the validation set is replaced by the next that does
-            passing = [t for t in trials if _passes(t, stage) and self._in_place(t, best)]
+            passing = [t for t in trials if passes(t, stage) and self._in_place(t, best)]
             if accepted not in passing:
                 accepted = self._parsimonious(passing[0], passing) if passing else None
             if accepted is not None:
@@ -252,7 +253,7 @@ class Selection:
         if accepted is None:
             accepted = self._first_friction(stage)
         wrong = (t for t in trials if t.impossible and t.gain > SELECTION.least_gain)
-        refuting = next((t for t in wrong if _asked_for(t, stage) and self._beside(state, t)), None)
+        refuting = next((t for t in wrong if asked_for(t, stage) and self._beside(state, t)), None)
         return replace(state, history=(*state.history, replace(stage, accepted=accepted, refuting=refuting)))
 
     def add(self, state: SelectionState) -> SelectionState:
@@ -401,7 +402,7 @@ class Selection:
 
     def _first_friction(self, stage: Stage) -> Trial | None:
         """The first dry friction of a joint that a stage asks for, whatever else gains more and may not be named."""
-        passing = [t for t in stage.trials if stage.threshold.rubs(t.key) and _passes(t, stage)]
+        passing = [t for t in stage.trials if stage.threshold.rubs(t.key) and passes(t, stage)]
         return self._parsimonious(passing[0], passing) if passing else None
 
     def _in_place(self, trial: Trial, best: Trial) -> bool:
@@ -429,43 +430,9 @@ class Selection:
         return hardly or not clearly_better(self.predictor, rich.model, simple.model)
 
 
-def in_both(
-    trials: Sequence[Trial], threshold: Threshold, others: Sequence[Trial], other: Threshold
-) -> tuple[tuple[Trial, ...], Threshold]:
-    """Trials with gains that hold in two noises, and the threshold for them.
-
-    A gain is the lesser of two; one that does not reach the threshold in its own noise stays, in proportion, below the
-    lesser threshold as well.
-    """
-    least, there = threshold.least(other), {t.key: t.gain for t in others}
-
-    def held(key: Key, gain: float, own: Threshold) -> float:
-        return gain if gain > own.of(key) else gain * least.of(key) / own.of(key)
-
-    def lesser(t: Trial) -> float:
-        return min(held(t.key, t.gain, threshold), held(t.key, there.get(t.key, t.gain), other))
-
-    return tuple(replace(t, gain=lesser(t)) for t in trials), least
-
-
-def _through(passes: Iterable[Pass], state: SelectionState) -> SelectionState:
+def _through(steps: Iterable[Pass], state: SelectionState) -> SelectionState:
     """A state after passes, one by one."""
-    for step in passes:
+    for step in steps:
         state = step(state)
         release()
     return state
-
-
-def _passes(trial: Trial, stage: Stage) -> bool:
-    """Whether a trial of a stage may be accepted."""
-    return trial.problem is None and _asked_for(trial, stage)
-
-
-def _asked_for(trial: Trial, stage: Stage) -> bool:
-    """Whether the log asks for a trial of a stage, whatever a machine may have."""
-    return (
-        trial.key not in stage.unclear
-        and trial.validation_gain > 0.0
-        and trial.gain > stage.needed(trial)
-        and (not KINDS[trial.name].two_masses or trial.gain > SELECTION.least_two_mass)
-    )
