@@ -192,7 +192,7 @@ def test_a_change_of_any_compiled_source_is_another_cache(copied_package):
         "dynamics/rigid.py",
         "dynamics/contact.py",
         "dynamics/runs.py",
-        "dynamics/lanes.py",
+        "dynamics/lanes/registers.py",
         "jit.py",
         "effects/coulomb_friction.py",
         "effects/base.py",

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from puma_sim_core.dynamics.lanes import LANES, polynomial_sin_cos
+from puma_sim_core.dynamics.lanes.registers import LANES, polynomial_sin_cos
 from puma_sim_core.effects import parse_effect
 from puma_sim_core.errors import ParameterError
 from puma_sim_core.jit import BACKEND

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from puma_sim_core.dynamics.lanes import LANES
+from puma_sim_core.dynamics.lanes.registers import LANES
 from puma_sim_core.effects import Effect, parse_effect
 from puma_sim_core.executors import one_thread_of_algebra
 from puma_sim_core.identify.data.log import Log

@@ -2,7 +2,7 @@
 """Many runs at once: different parameters, voltages, effects and starts, over all cores.
 
 Runs without effects that need a stage of the kernel of their own go side by side in the lanes of
-the vector registers (`lanes`), the others one by one. With numba the cores are shared by threads,
+the vector registers (`dynamics.lanes`), the others one by one. With numba the cores are shared by threads,
 which need no copies; without it by processes. The result does not depend on the number of
 workers, bit for bit.
 """
@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from puma_sim_core.dynamics.lanes import LANE_NUMBERS, LANES, run_lanes
+from puma_sim_core.dynamics.lanes.registers import LANE_NUMBERS, LANES, run_lanes
 from puma_sim_core.dynamics.runs import terminal_voltages
 from puma_sim_core.effects import Effect
 from puma_sim_core.errors import NonFiniteStateError, ParameterError

@@ -1,5 +1,5 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
-"""Several models that follow one measured motion, side by side in the lanes of `dynamics.following_lanes`.
+"""Several models that follow one measured motion, side by side in the lanes of `dynamics.lanes.following`.
 
 Their innovations are those of `tracking.innovations` but for the last bits of sines and cosines, at a fraction of the
 time, and the same with and without numba.
@@ -9,11 +9,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from puma_sim_core.dynamics.array_lanes import follow_arrays
 from puma_sim_core.dynamics.circuit import with_damping
-from puma_sim_core.dynamics.following_lanes import IN_LANES, SLIDING, bounds, follow_lanes
-from puma_sim_core.dynamics.lane_places import DAMPING, FOLLOWED, LEVELS
-from puma_sim_core.dynamics.lanes import LANES
+from puma_sim_core.dynamics.lanes.arrays import follow_arrays
+from puma_sim_core.dynamics.lanes.following import IN_LANES, SLIDING, bounds, follow_lanes
+from puma_sim_core.dynamics.lanes.places import DAMPING, FOLLOWED, LEVELS
+from puma_sim_core.dynamics.lanes.registers import LANES
 from puma_sim_core.dynamics.types import STILL
 from puma_sim_core.effects.base import VOLTAGE, Effect
 from puma_sim_core.jit import BACKEND, interpreted

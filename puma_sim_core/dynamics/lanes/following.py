@@ -1,18 +1,18 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
-"""`following` of several models side by side in the lanes of `lanes`: arms with the same joints and the same stages.
+"""`dynamics.following` of several models side by side in `registers`: arms with the same joints and the same stages.
 
 In most rows joints slide in one direction and no current comes near its limit: a lane then needs no search for the
 moment at which a contact ends. A row in which that does not hold of a lane (a joint with dry friction rests or
-reverses, a current may meet its limit) is taken again by `following`, of that lane alone.
+reverses, a current may meet its limit) is taken again by `dynamics.following`, of that lane alone.
 """
 
 from collections.abc import Callable
 from typing import Any
 
 from puma_sim_core.dynamics.contact import passing
-from puma_sim_core.dynamics.effect_lanes import LANE_BY_LANE, effect_step
 from puma_sim_core.dynamics.following import moved_by, predicted
-from puma_sim_core.dynamics.lane_places import (
+from puma_sim_core.dynamics.lanes.effects import LANE_BY_LANE, effect_step
+from puma_sim_core.dynamics.lanes.places import (
     ALONE,
     before_of,
     damping_of,
@@ -24,7 +24,7 @@ from puma_sim_core.dynamics.lane_places import (
     stage_of,
     step_drive_of,
 )
-from puma_sim_core.dynamics.lanes import (
+from puma_sim_core.dynamics.lanes.registers import (
     LANES,
     body_of,
     drive_of,
@@ -202,10 +202,10 @@ def follow_lanes(
 ) -> None:
     """Innovations of one group of LANES models that follow a measured motion.
 
-    a : flat, FOLLOWED * LANES, the numbers of `lane_places`, moved on; active : stages of all of them, of `IN_LANES`;
+    a : flat, FOLLOWED * LANES, the numbers of `places`, moved on; active : stages of all of them, of `IN_LANES`;
     rows : commanded voltages and steps; measured (n, 3) [rad], at the ends of the rows; corrected (n,), gain (9,) and
-    parts (LANES,) as for `following.Track`; tables (LANES, ...) : packed effects of each lane; alike : whether those on
-    the voltages are the same; lock : of all; out (LANES, n, 3): the innovations [rad].
+    parts (LANES,) as for `dynamics.following.Track`; tables (LANES, ...) : packed effects of each lane; alike : whether
+    those on the voltages are the same; lock : of all; out (LANES, n, 3): the innovations [rad].
     """
     since = 0.0
     for r in range(len(rows.count)):

@@ -8,7 +8,7 @@ the rigid body and the sums of the Runge-Kutta step (`rk4`), the compiler turns 
 
 from puma_sim_core.dynamics.circuit import drive_at, with_damping
 from puma_sim_core.dynamics.contact import sliding, slip_direction
-from puma_sim_core.dynamics.lane_places import (
+from puma_sim_core.dynamics.lanes.places import (
     model_of,
     put_rate,
     put_slip,
@@ -25,7 +25,14 @@ from puma_sim_core.dynamics.lane_places import (
     torque_of,
     trig_of,
 )
-from puma_sim_core.dynamics.lanes import LANES, body_of, polynomial_trigonometry, put_state, state_of, volts_of
+from puma_sim_core.dynamics.lanes.registers import (
+    LANES,
+    body_of,
+    polynomial_trigonometry,
+    put_state,
+    state_of,
+    volts_of,
+)
 from puma_sim_core.dynamics.laws import ALGEBRAIC, DRY, POSED, SMOOTH, TILT, TIMED, VARYING
 from puma_sim_core.dynamics.rigid import remove_rows, rigid_body, solve
 from puma_sim_core.dynamics.rk4 import ARM

@@ -1,11 +1,11 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
 """Where the numbers of a lane stand in the flat array of a group that follows a motion, and what reads and writes them.
 
-Number k of lane m stands at k * LANES + m. The first are those of `lanes`: state, voltages, body and drive; what reads
-and writes these stands there.
+Number k of lane m stands at k * LANES + m. The first are those of `registers`: state, voltages, body and drive; what
+reads and writes these stands there.
 """
 
-from puma_sim_core.dynamics.lanes import LANE_NUMBERS, in_lane, lane_reader, lane_writer
+from puma_sim_core.dynamics.lanes.registers import LANE_NUMBERS, in_lane, lane_reader, lane_writer
 from puma_sim_core.dynamics.types import Drive, Model
 from puma_sim_core.jit import written
 

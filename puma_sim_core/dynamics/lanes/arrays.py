@@ -1,9 +1,9 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
-"""`lanes` for plain Python: any number of runs side by side in arrays of NumPy, with the same bits.
+"""`registers` for plain Python: any number of runs side by side in arrays of NumPy, with the same bits.
 
 The step is that of one arm, with an array over the runs in place of each number, so that the interpreter goes through
 it once for all of them. Sums and products of arrays have the bits of those of numbers; sine and cosine are the
-polynomials of `lanes`, as those of NumPy have no such promise.
+polynomials of `registers`, as those of NumPy have no such promise.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from puma_sim_core.dynamics.following_lanes import build_sliding, moved, moved_alone, row_alone
-from puma_sim_core.dynamics.lane_places import DAMPING, HAS_DRY, LEVELS, NEAR_LIMIT
-from puma_sim_core.dynamics.lanes import build_trigonometry
+from puma_sim_core.dynamics.lanes.following import build_sliding, moved, moved_alone, row_alone
+from puma_sim_core.dynamics.lanes.places import DAMPING, HAS_DRY, LEVELS, NEAR_LIMIT
+from puma_sim_core.dynamics.lanes.registers import build_trigonometry
 from puma_sim_core.dynamics.rigid import build_arm
 from puma_sim_core.dynamics.runs import terminals
 from puma_sim_core.dynamics.types import Drive, Model, Rows
@@ -36,7 +36,7 @@ def follow_arrays(
     parts: Sequence[int],
     lock: Vec,
 ) -> np.ndarray:
-    """`following_lanes.follow_lanes` of m models with stages of `SLIDING` alone: innovations (m, n, 3).
+    """`following.follow_lanes` of m models with stages of `SLIDING` alone: innovations (m, n, 3).
 
     numbers (FOLLOWED, m) : those of `follow_lanes`, a column a model; tables, parts : m of them.
     """
