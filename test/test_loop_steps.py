@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from puma_sim_core.effects import parse_effect
-from puma_sim_core.identify.fitting.damping import best_damping
 from puma_sim_core.identify.fitting.point import Point
-from puma_sim_core.identify.fitting.prediction import PredictionFit, Slopes
+from puma_sim_core.identify.fitting.prediction import PredictionFit, Slopes, best_damping
 from puma_sim_core.identify.settings import FITTING
 from puma_sim_core.plant.mechanism_file import load_mechanism
 

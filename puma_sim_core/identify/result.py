@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from math import isinf
 
 from puma_sim_core.identify.arrays import Floats
+from puma_sim_core.identify.settings import REPORT
 
 NOTHING_MISSING = "NOTHING_MISSING"
 NAMED = "NAMED"
@@ -16,9 +17,6 @@ DATA_FAULT = "DATA_FAULT"
 VERDICTS = (NOTHING_MISSING, NAMED, NAMED_WITH_REMAINDER, UNNAMED, DATA_FAULT)
 
 NOT_EXCITED = "NOT_EXCITED"
-
-#: p-value below which sizes of several logs do not agree: the usual level of a test
-AGREEMENT_LEVEL = 0.05
 
 #: rows that errors are measured at: fitted, not fitted, of these those that the choice of effects has not seen, and
 #: logs outside the analysis
@@ -216,7 +214,7 @@ class AgreementOfSize:
     @property
     def agrees(self) -> bool:
         """Whether the intervals allow one value, at a level of 5 %."""
-        return self.p_value is None or self.p_value >= AGREEMENT_LEVEL
+        return self.p_value is None or self.p_value >= REPORT.agreement
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ The innovations of a true model are white and independent of the past, with feed
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
 from typing import NamedTuple
@@ -17,7 +17,6 @@ from scipy.linalg import cho_factor, cho_solve
 
 from puma_sim_core.effects import Effect
 from puma_sim_core.identify.arrays import Floats
-from puma_sim_core.identify.fitting.damping import best_damping
 from puma_sim_core.identify.fitting.pieces import pieces
 from puma_sim_core.identify.fitting.point import Pairs, Point, size_of, with_value
 from puma_sim_core.identify.fitting.predictor import Predictor
@@ -361,3 +360,20 @@ def bounded_step(normal: Floats, gradient: Floats, first: int) -> Floats:
             return step
         step[far] = np.copysign(FITTING.greatest_step, step[far])
         bound |= far
+
+
+def best_damping(first: int, cost: Callable[[int], float]) -> int:
+    """Number of the damping at which a cost has its minimum nearest to a first one; only some are evaluated."""
+    costs: dict[int, float] = {}
+
+    def at(number: int) -> float:
+        if number not in costs:
+            inside = 0 <= number < len(FITTING.dampings)
+            costs[number] = cost(number) if inside else float("inf")
+        return costs[number]
+
+    best = first
+    for way in (1, -1):
+        while at(best + way) < at(best):
+            best += way
+    return best

@@ -106,7 +106,7 @@ class _Joint:
             if at is None:
                 break
             time = found.coefficient(at)[0]
-            moved = terms.delay(self.both, self.joint, float(np.clip(time, -_FARTHEST, _FARTHEST)))
+            moved = terms.delay(self.both, self.joint, float(np.clip(time, -LINK_SIDE.latest, LINK_SIDE.latest)))
             found = self._linear((*found.terms[:at], moved, *found.terms[at + 1 :]))
         return found
 
@@ -203,7 +203,3 @@ class _Joint:
         other = other or terms.lag(self.both, self.joint, term.sensor or terms.LINK)
         tried = self.fit((*fit.terms[:number], other, *fit.terms[number + 1 :]))
         return abs(tried.posterior.log_evidence - fit.posterior.log_evidence) < FITTING.tie
-
-
-#: a delay is sought up to this time [s]: far beyond what its prior allows
-_FARTHEST = 10.0 * LINK_SIDE.late

@@ -9,6 +9,7 @@ from puma_sim_core.effects import KINDS
 from puma_sim_core.identify import result
 from puma_sim_core.identify.report.json import STAGES
 from puma_sim_core.identify.report.text import PART_WORDS, is_augmented, shown_part
+from puma_sim_core.identify.settings import REPORT
 from puma_sim_core.pages.text import number, place, scale, unit_text
 
 #: the verdicts in a word or two
@@ -19,8 +20,6 @@ BADGES = {
     result.UNNAMED: "Something without a name",
     result.DATA_FAULT: "Fault in the data",
 }
-#: ratio of two errors from which they are told apart
-_CHANGED = 1.05
 
 
 def ties(e: result.Explanation) -> list[result.Hypothesis]:
@@ -112,9 +111,9 @@ def _times(before: float, after: float) -> str:
     if not (0.0 < before < math.inf and 0.0 < after < math.inf):
         return "Error before and after"
     ratio = before / after
-    if ratio >= _CHANGED:
+    if ratio >= REPORT.changed:
         return f"Error {number(ratio, 2)} times smaller"
-    return "Error unchanged" if ratio > 1.0 / _CHANGED else f"Error {number(1.0 / ratio, 2)} times larger"
+    return "Error unchanged" if ratio > 1.0 / REPORT.changed else f"Error {number(1.0 / ratio, 2)} times larger"
 
 
 def _stages(errors: result.StageErrors, joint: int | None) -> dict[str, float]:

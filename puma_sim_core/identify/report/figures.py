@@ -13,6 +13,7 @@ import numpy as np
 from puma_sim_core.effects import KINDS
 from puma_sim_core.identify.report.text import PART_WORDS, is_augmented
 from puma_sim_core.identify.result import GAP, HYSTERESIS, Drawn, Explanation, NamedEffect, StageErrors
+from puma_sim_core.identify.settings import REPORT
 from puma_sim_core.pages.figure import Figure, Layer
 from puma_sim_core.pages.text import scale, unit_text
 
@@ -30,9 +31,6 @@ _MARKS: dict[str, dict[str, Any]] = {
     "augmented": {"marker": "o", "size": 7.0},
     "floor": {"marker": "|", "size": 13.0},
 }
-_BINS = 30
-#: rows that a mean needs to be drawn
-_ROWS = 6
 
 
 def residual_in_time(e: Explanation) -> list[Figure]:
@@ -197,14 +195,14 @@ def _means(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     low, high = np.quantile(x, (0.002, 0.998)) if x.size else (0.0, 0.0)
     if high <= low:
         return np.zeros(0), np.zeros(0)
-    width = (high - low) / _BINS
-    first, last = (math.floor(low / width), math.ceil(high / width)) if low < 0.0 < high else (0, _BINS)
+    width = (high - low) / REPORT.bins
+    first, last = (math.floor(low / width), math.ceil(high / width)) if low < 0.0 < high else (0, REPORT.bins)
     edges = (0.0 if low < 0.0 < high else low) + width * np.arange(first, last + 1)
     place = np.digitize(x, edges) - 1
     centre, mean = (np.full(edges.size - 1, np.nan) for _ in range(2))
     for index in range(edges.size - 1):
         rows = place == index
-        if np.count_nonzero(rows) >= _ROWS:
+        if np.count_nonzero(rows) >= REPORT.bin_rows:
             centre[index], mean[index] = np.mean(x[rows]), np.mean(y[rows])
     if low < 0.0 < high:
         # no line through the step

@@ -9,6 +9,7 @@ import numpy as np
 from puma_sim_core.identify.report.json import STAGES
 from puma_sim_core.identify.report.text import estimate, gain, hypothesis
 from puma_sim_core.identify.result import Agreement, Detectable, Explanation, FeedbackBias
+from puma_sim_core.identify.settings import REPORT
 from puma_sim_core.pages.text import DASH, MINUS, SPACE, effect_name, listed, number, scale, unit_text
 
 _PARTS = {
@@ -17,8 +18,6 @@ _PARTS = {
     "unseen": "Validation set, not used to choose the effects either",
     "fit": "Fitted data",
 }
-#: change of a parameter that is marked [standard deviations of its prior]
-_FAR = 2.5
 
 
 def errors(e: Explanation, quantity: str, base: str) -> tuple[str, list[tuple[str, list[list[str]]]]]:
@@ -137,7 +136,7 @@ def parameters_retuned(e: Explanation) -> list[tuple[str, str, list[str], bool]]
         moved = next((abs(each) for each in (widths, relative) if math.isfinite(each)), abs(step))
         shown = [number(start, 5), number(retuned, 5), _signed(relative, "+.1%")]
         shown += [_signed(widths, "+.2f")] if known else []
-        rows.append((moved, (name, unit_text(unit), shown, abs(widths) > _FAR)))
+        rows.append((moved, (name, unit_text(unit), shown, abs(widths) > REPORT.far)))
     return [row for _, row in sorted(rows, key=lambda pair: -pair[0])]
 
 

@@ -17,8 +17,20 @@ from puma_sim_core.identify.settings.experiment import EXPERIMENT
 from puma_sim_core.identify.settings.fitting import FITTING
 from puma_sim_core.identify.settings.link_side import LINK_SIDE
 from puma_sim_core.identify.settings.noise import NOISE
+from puma_sim_core.identify.settings.report import REPORT
 from puma_sim_core.identify.settings.residuals import RESIDUALS
 from puma_sim_core.identify.settings.screening import SCREENING
 from puma_sim_core.identify.settings.selection import SELECTION
 
-__all__ = ("CHECKS", "DATA", "EXPERIMENT", "FITTING", "LINK_SIDE", "NOISE", "RESIDUALS", "SCREENING", "SELECTION")
+__all__ = (
+    "CHECKS",
+    "DATA",
+    "EXPERIMENT",
+    "FITTING",
+    "LINK_SIDE",
+    "NOISE",
+    "REPORT",
+    "RESIDUALS",
+    "SCREENING",
+    "SELECTION",
+)

@@ -17,6 +17,7 @@ class LinkSide:
 
     # --- priors, standard deviations about zero
     late: float = 0.01  #: of the time by which a reading is late [s]: a bus cycle, or a filter, of some milliseconds
+    latest: float = 10.0 * late  #: up to which a delay is sought [s]: far beyond what its prior allows
     ratio: float = 1e-3  #: of the ratio of the two readings less 1: gears are counted, encoders are divided finely
     #: of an offset, in the joint's range: zeros are arbitrary
     offset: float = 1.0
