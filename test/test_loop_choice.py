@@ -291,6 +291,17 @@ def test_effects_whose_trials_had_not_come_to_their_end_are_fitted_to_it(ends, i
     assert before.keys == (position.key,) and before.model is position.fitted
 
 
+@pytest.mark.parametrize("period, longest", [(0.001, 0.022), (0.02, 0.06)])
+def test_a_delay_may_be_that_of_the_log_s_own_stamps(period, longest):
+    """A row that is written first and read in turn has positions up to a period older than the voltages beside them."""
+    sampled = SimpleNamespace(joints=3, quantum=np.zeros(3))
+    problem = SimpleNamespace(mechanism=load_mechanism(), sampled=sampled)
+    chooser = Trials(SimpleNamespace(step=period), problem)
+    assert chooser.implausible(parse_effect(f"input_delay:time={longest - 1e-4}")) is None
+    late = chooser.implausible(parse_effect(f"input_delay:time={longest + 1e-4}"))
+    assert f"more than any machine has ({500 * longest:g} ms)" in late
+
+
 def test_what_more_of_makes_less_of_an_effect_is_not_too_much():
     position = np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
     sampled = SimpleNamespace(joints=3, position=position, quantum=np.zeros(3))

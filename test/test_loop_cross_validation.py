@@ -95,12 +95,15 @@ def test_windows_decide_beyond_two_standard_errors_and_else_the_density(monkeypa
     assert folds.better(one, other, as_good=True) is as_good
 
 
-def test_a_noise_that_open_loop_errors_refute_decides_nothing(monkeypatch):
+def test_in_a_noise_that_open_loop_errors_refute_a_density_must_be_greater_beyond_chance(monkeypatch):
+    """Nats of such a noise have no size, but their mean over its standard error has."""
     folds, asked = CrossValidation([None] * 4), []
-    windows = {"same": [10.0] * 4, "more": [13.0, 9.0, 9.0, 10.0], "less": [9.0, 9.5, 9.0, 10.0]}
+    windows = {name: [13.0, 9.0, 9.0, 10.0] for name in ("more", "clearly", "never")}
+    windows |= {"same": [10.0] * 4, "less": [9.0, 9.5, 9.0, 10.0]}
+    densities = {"more": [9.0, -2.0, -1.0, -1.0], "clearly": [2.0, 1.0, 1.0, 1.0], "never": [-np.inf, 1.0, 1.0, 1.0]}
     monkeypatch.setattr(folds, "_points", lambda model: windows[model.name])
     monkeypatch.setattr(folds, "_window_square", lambda fold, point: point)
-    monkeypatch.setattr(folds, "_densities", lambda model, points: np.array([5.0 * (model.name == "more")]))
+    monkeypatch.setattr(folds, "_densities", lambda model, points: np.array(densities.get(model.name, np.zeros(4))))
 
     def better(name: str, holds: bool, as_good: bool = False) -> bool:
         asked.clear()
@@ -110,6 +113,8 @@ def test_a_noise_that_open_loop_errors_refute_decides_nothing(monkeypatch):
     assert better("more", True) and asked == ["more"]
     assert not better("more", False) and asked == ["more"]
     assert better("more", False, as_good=True)  # more by chance
+    assert better("clearly", False) and asked == ["clearly"]
+    assert not better("never", False) and not better("never", True)  # a model that cannot be run
     assert better("less", False) and not asked  # the windows tell: nobody asks for the noise
 
 

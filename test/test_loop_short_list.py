@@ -18,6 +18,7 @@ from puma_sim_core.identify.prepare import library_of
 from puma_sim_core.identify.screening.causal import CausalScreen
 from puma_sim_core.identify.screening.evidence import Scored
 from puma_sim_core.identify.screening.short_list import ShortList
+from puma_sim_core.identify.settings import SCREENING
 from puma_sim_core.plant.mechanism_file import load_mechanism
 
 
@@ -67,6 +68,25 @@ def test_dry_friction_is_tried_where_anything_is_missing_and_none_is_in_the_mode
     assert tried([], [("stribeck_friction", 2)], stretched=True) == {key for key in everywhere if key[1] != 2}
     start = short._common([Scored("joint_elasticity", 2, 5.0)], (), Screen(), False)[0]
     assert start.values == {"torque": mechanism.torque_scale[1]}
+
+
+def test_the_short_list_holds_the_best_of_the_innovations_beside_those_of_the_filtered_motion():
+    """What both screenings see takes no place of what one of them sees alone."""
+    mechanism = load_mechanism("pendulum")
+    search = SimpleNamespace(library=library_of(mechanism))
+    short = ShortList(search, SimpleNamespace(mechanism=mechanism, expected=np.ones(1)), None)
+    both = ["voltage_saturation", "voltage_dead_band", "impulse", "current_limit"]
+    alone = ["transmission_error", "joint_elasticity", "torque_ripple", "sensor_lag", "sensor_nonlinearity"]
+
+    def scored(names):
+        return [Scored(name, 1, 100.0 - n, values={}) for n, name in enumerate(names)]
+
+    short._slow = lambda keys, point: scored(both)
+    short._fast = lambda keys, causal: scored(both + alone)
+    short._related = lambda found, keys, causal: []
+    short._common = lambda found, keys, causal, stretched: []
+    found = [s.name for s in short.of((), Point(mechanism.start, ()), None)]
+    assert found == both + alone[: SCREENING.short_list_fast]
 
 
 LIMITS, PLAY = ("current_limit", "voltage_saturation"), "backlash"

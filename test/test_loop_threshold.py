@@ -89,7 +89,8 @@ def test_dry_friction_needs_what_chance_gives_it_and_others_what_it_gives_them()
 
 
 def test_each_of_the_two_kinds_of_effects_has_half_of_the_probability():
-    """Each needs what chance gives the greatest of its kind, with half of the probability that it may have in all."""
+    """Each needs what chance gives the greatest of its kind, with half of the probability that it may have in all; dry
+    friction that is common, with that half on joints that have none."""
     rng = np.random.default_rng(2)
     drawn = {}
 
@@ -105,7 +106,9 @@ def test_each_of_the_two_kinds_of_effects_has_half_of_the_probability():
     dry = np.max([drawn["coulomb_friction", joint] for joint in (1, 2, 3)], axis=0)
     other = np.max([values for (name, _), values in drawn.items() if name != "coulomb_friction"], axis=0)
     half = 0.5 * SELECTION.surrogate_level
-    assert found == Threshold(level(dry, half), level(other, half))
+    without = 1.0 / (1.0 + SELECTION.dry_odds)
+    assert found == Threshold(level(dry, half / without), level(other, half), varying=level(dry, half))
+    assert found.dry < found.varying
 
 
 def with_friction(threshold, beside=True):
@@ -315,6 +318,10 @@ def test_what_the_best_contains_may_stand_where_that_does_not_pass():
 def test_the_first_dry_friction_of_a_joint_needs_less():
     asked = Threshold(dry=20.0, other=100.0, rubbing=frozenset({2}))
     assert [asked.of(("coulomb_friction", joint)) for joint in (1, 2)] == [20.0, 100.0]
+    # where it varies it needs more
+    varying = replace(asked, varying=30.0)
+    assert [varying.of((name, 1)) for name in ("coulomb_friction", "stribeck_friction")] == [20.0, 30.0]
+    assert varying.least(replace(asked, varying=25.0)).varying == 25.0
     assert asked.of(("voltage_dead_band", 1)) == 100.0
     assert asked.least(Threshold(16.0, 120.0)) == Threshold(16.0, 100.0, frozenset({2}))
 

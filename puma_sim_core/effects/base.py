@@ -187,6 +187,8 @@ class Parameter:
     softened_by: str | None = None  #: a stiffness [N.m/rad] by which its edge is soft
     #: an error of the position: encoder steps below which it may as well be the encoder's own
     steps: float | None = None
+    #: a time by which something is late: periods of the log by which its stamp may be late as well
+    periods: float = 0.0
 
     def __post_init__(self) -> None:
         if self.logarithmic is None:

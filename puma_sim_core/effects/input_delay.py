@@ -41,7 +41,7 @@ EFFECT = Kind(
     acts=VOLTAGE,
     equation="V(t) = V asked for at t - T",
     sentence="Every voltage reaches its motor later than the log says.",
-    parameters=(Parameter("time", "s", 0.0, 1.0, "T", SIZE, (0.0003, 0.01)),),
+    parameters=(Parameter("time", "s", 0.0, 1.0, "T", SIZE, (0.0003, 0.01), periods=1.0),),
     laws=(Law(Point.DELAY, first),),
     per_joint=False,
     feigned=True,

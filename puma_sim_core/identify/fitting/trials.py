@@ -285,7 +285,8 @@ class Trials:
             known = [scale for scale in scales if scale is not None]
             if value is None or not known:
                 continue
-            least, most = low * min(known), high * max(known)
+            late = parameter.periods * self.predictor.step if parameter.periods else 0.0
+            least, most = low * min(known), high * max(known) + late
             unit = self.mechanism.unit(parameter.unit)
             size, least_size, most_size = (plain_quantity(each, unit) for each in (value, least, most))
             less = f"{IMPOSSIBLE}: {name} {size}, less than any machine has ({least_size})"

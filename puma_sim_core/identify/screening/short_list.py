@@ -41,9 +41,9 @@ class ShortList:
         share = 2 if point.two_mass else 1
         # where the filtered motion has a large residual at the start, the fitted model may have none
         placed = {s.key: s for s in fast if _screening(self.library[s.name]).placed}
-        short: dict[Key, Scored] = {}
-        for scored in slow[: SCREENING.short_list_slow // share] + fast[: SCREENING.short_list_fast // share]:
-            short.setdefault(scored.key, placed.get(scored.key, scored))
+        short = {s.key: placed.get(s.key, s) for s in slow[: SCREENING.short_list_slow // share]}
+        others = [s for s in fast if s.key not in short]
+        short |= {s.key: s for s in others[: SCREENING.short_list_fast // share]}
         found = [*short.values(), *self._related([*short.values()], keys, causal)]
         stretched = point.stretched(self.predictor.mechanism)
         found += self._common(found, keys, causal, stretched)

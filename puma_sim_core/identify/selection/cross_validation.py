@@ -96,8 +96,8 @@ class CrossValidation:
         standard errors, by the log predictive density of the innovations. Both models have one weighting.
 
         noise_holds : whether the noise may be what the density takes it for; it is asked where the density would
-        decide, and where it does not hold, the model that is worse in the windows is not better; as_good : the model
-        need not be better, but may be worse by chance alone.
+        decide, and where it does not hold, the density must be greater beyond chance, by pieces of the folds; as_good :
+        the model need not be better, but may be worse by chance alone.
         """
         one, other = self._points(model), self._points(than)
         more = np.array([self._window_square(*pair) for pair in zip(self.folds, one)])
@@ -108,12 +108,15 @@ class CrossValidation:
         error = more.std(ddof=1) / np.sqrt(len(more)) if len(more) > 1 else 0.0
         if more.mean() < 0.0 or more.mean() > SELECTION.standard_errors * error:
             return bool(more.mean() < 0.0)
-        if not noise_holds():
-            return as_good
+        holds = noise_holds()
+        if as_good and not holds:
+            return True
         lost = self._densities(than, other) - self._densities(model, one)
-        if as_good and np.isfinite(lost).all():
+        if not np.isfinite(lost).all():
+            return holds and float(lost.sum()) < 0.0
+        if as_good:
             return not clearly_above_zero(lost)
-        return float(lost.sum()) < 0.0
+        return float(lost.sum()) < 0.0 if holds else clearly_above_zero(-lost)
 
     def _window_square(self, fold: Fold, point: Point) -> float:
         """Mean square [rad^2 or m^2] of the errors in the windows of a fold, of all joints; NaN without windows."""

@@ -341,7 +341,13 @@ class Selection:
             least *= dispersion(self.predictor, screen.jacobian, screen.errors, len(screen.point.theta))
         chance = self._chance(state, screen)
         # the first dry friction of a joint, beside other effects, is compared in the direction of its own (`_beside`)
-        return Threshold(max(SELECTION.least_dry, chance.dry), max(least, chance.other), state.rubbing, least)
+        return Threshold(
+            dry=max(SELECTION.least_dry, chance.dry),
+            varying=max(SELECTION.least_gain, chance.varying),
+            other=max(least, chance.other),
+            rubbing=state.rubbing,
+            placed=least,
+        )
 
     def _may_rub(self, state: SelectionState) -> bool:
         """Whether a trial may be the first dry friction of its joint, in a form that contains no other."""
@@ -368,8 +374,9 @@ class Selection:
 
     def _chance(self, state: SelectionState, causal: CausalScreen) -> Threshold:
         """What the shifted innovations of a screen exceed by chance, over all that the short list is taken of: each of
-        the two kinds of effects has half of the probability. Shifted innovations have the bumps of those that are not,
-        so that they say nothing of what is placed by these."""
+        the two kinds of effects has half of the probability; the dry friction that is common has it where a joint has
+        none. Shifted innovations have the bumps of those that are not, so that they say nothing of what is placed by
+        these."""
         placebos = causal.placebos(self.shifts)
         gains: dict[bool, list[Floats]] = {True: [], False: []}
         for kind, joint in hypotheses(self.library.values(), self.mechanism):
@@ -377,10 +384,11 @@ class Selection:
             if open_to(kind, joint, state.keys) and not kind.screening.placed:
                 gains[kind.dry].append(placebos.gains(causal.pairs(kind, joint)))
 
-        def reached(dry: bool) -> float:
-            return level(np.max(gains[dry], axis=0), 0.5 * SELECTION.surrogate_level) if gains[dry] else 0.0
+        def reached(dry: bool, odds: float = 0.0) -> float:
+            probability = 0.5 * SELECTION.surrogate_level * (1.0 + odds)
+            return level(np.max(gains[dry], axis=0), probability) if gains[dry] else 0.0
 
-        return Threshold(reached(True), reached(False))
+        return Threshold(reached(True, SELECTION.dry_odds), reached(False), varying=reached(True))
 
     def _beside(self, state: SelectionState, trial: Trial) -> bool:
         """Whether a trial is better than the model without it by what a name needs of standard errors."""

@@ -19,19 +19,21 @@ from puma_sim_core.identify.settings import SELECTION
 @dataclass(frozen=True)
 class Threshold:
     """Gain [nat] that a name needs, by chance and by what the effects before it misfit: of the first dry friction of a
-    joint, which all but every drive has, of what is placed where most is left, such as a push, which is compared with
-    the rest of the log and not with chance, and of any other effect. rubbing : joints (1-based) that have dry friction.
+    joint, which all but every drive has, and of that where it varies; of what is placed where most is left, such as a
+    push, which is compared with the rest of the log and not with chance, and of any other effect.
+    rubbing : joints (1-based) that have dry friction.
     """
 
     dry: float
     other: float
     rubbing: frozenset[int | None] = frozenset()
     placed: float = SELECTION.least_gain
+    varying: float = SELECTION.least_gain
 
     @classmethod
     def alike(cls, gain: float) -> Threshold:
         """The same for all."""
-        return cls(gain, gain, placed=gain)
+        return cls(gain, gain, placed=gain, varying=gain)
 
     def rubs(self, key: Key) -> bool:
         """Whether an effect is the first dry friction of its joint."""
@@ -40,14 +42,14 @@ class Threshold:
     def of(self, key: Key) -> float:
         """That of an effect. What is common is dry friction of one level, or in proportion to the load."""
         if self.rubs(key):
-            return max(self.dry, SELECTION.least_gain) if KINDS[key[0]].contains else self.dry
+            return max(self.dry, self.varying) if KINDS[key[0]].contains else self.dry
         screening = KINDS[key[0]].screening
         return self.placed if screening is not None and screening.placed else self.other
 
     def least(self, other: Threshold) -> Threshold:
         """The lesser of two."""
-        dry, others = min(self.dry, other.dry), min(self.other, other.other)
-        return replace(self, dry=dry, other=others, placed=min(self.placed, other.placed))
+        names = ("dry", "varying", "other", "placed")
+        return replace(self, **{name: min(getattr(self, name), getattr(other, name)) for name in names})
 
 
 @dataclass(frozen=True)

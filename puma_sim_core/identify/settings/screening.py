@@ -32,7 +32,7 @@ class Screening:
     search_rounds: int = 4  #: most changes of the best explanation, whose noise all are scored in
 
     short_list_slow: int = 8  #: slow hypotheses of a short list
-    short_list_fast: int = 4  #: fast ones
+    short_list_fast: int = 4  #: fast ones beside these
     short_list_least_screened: float = 2.0  #: their least gain in the screening [nat]
     short_list_family: float = 0.3  #: share of the best screened gain from which containing effects are tried, too
     short_list_noisy: float = 2.0  #: noise of a far noisier joint, over the median

@@ -15,9 +15,11 @@ class Selection:
     #: standard errors from the model without it, in the one direction in which they differ: those of 16 nat in a true
     #: model, whose gain is half the square of its standard error
     name_errors: float = sqrt(8.0)
-    #: of the only dry friction of a joint: the odds of 97.7 %, two standard errors, over those that a joint has it. All
-    #: nine driven joints of the development machines do, so the next one has it by 10 to 1 (Laplace's rule of
-    #: succession), and 4.3 to 1 are asked of the log: 81 % of a normal distribution lie below 0.88
+    #: odds that a joint has dry friction: all nine driven joints of the development machines do (Laplace's rule of
+    #: succession)
+    dry_odds: float = 10.0
+    #: of the only dry friction of a joint: the odds of 97.7 %, two standard errors, over `dry_odds`. 4.3 to 1 are asked
+    #: of the log: 81 % of a normal distribution lie below 0.88
     dry_errors: float = 0.88
     #: gain [nat] of so many standard errors in a true model, which that friction needs beside what chance gives
     least_dry: float = 2.0 * dry_errors**2
