@@ -156,7 +156,9 @@ def _sentence(
 ) -> str:
     if verdict == result.NOTHING_MISSING:
         return "Nothing is missing that this log could show: the retuned model explains it down to its noise."
-    times = "" if beyond is None else f"the open-loop error of joint {beyond[0]} is {beyond[1]:.3g} times its noise"
+    # not the noise of the fit, which is drawn beside the errors: that may hold what a model lacks
+    most = "the most that noise of the rows could make"
+    times = "" if beyond is None else f"the open-loop error of joint {beyond[0]} is {beyond[1]:.3g} times {most}"
     if verdict == result.UNNAMED and curve is None:
         why = [*([] if refuting is None else [_refuted(refuting)]), *([times] if times else [])]
         return f"Something is missing that no effect of the library explains: {'; '.join(why)}."

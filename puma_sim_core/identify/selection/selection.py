@@ -375,8 +375,8 @@ class Selection:
     def _chance(self, state: SelectionState, causal: CausalScreen) -> Threshold:
         """What the shifted innovations of a screen exceed by chance, over all that the short list is taken of: each of
         the two kinds of effects has half of the probability. Dry friction that is common is a false alarm only on a
-        joint without any, and has as much more as there are joints for one of these. Shifted innovations have the bumps
-        of those that are not, so that they say nothing of what is placed by these."""
+        joint without any, and has its half on such joints. Shifted innovations have the bumps of those that are not, so
+        that they say nothing of what is placed by these."""
         placebos = causal.placebos(self.shifts)
         gains: dict[bool, list[Floats]] = {True: [], False: []}
         for kind, joint in hypotheses(self.library.values(), self.mechanism):
