@@ -97,18 +97,22 @@ def test_the_stage_of_an_effect_that_no_machine_has_is_made_again_without_it(wro
 
 class Pairs(Stages):
     """Of two effects neither is asked for alone. least : gain of the better one alone; beside : what the first has
-    beside the second, None where the log does not ask for it."""
+    beside the second, None where the log does not ask for it; chance : gain of the second alone, which chance gives as
+    well."""
 
-    def __init__(self, wrong=(), least=12.0, beside=40.0):
+    def __init__(self, wrong=(), least=12.0, beside=40.0, chance=None):
         super().__init__(wrong)
-        self.alone = {COULOMB: least, OFFSET: least - 1.0, STRIBECK: 3.0}
+        self.chance = chance
+        self.alone = {COULOMB: least, OFFSET: chance or least - 1.0, STRIBECK: 3.0}
         self.elimination = SimpleNamespace(gain_beside=lambda state, key: beside if len(state.keys) == 2 else None)
 
     def try_all(self, state):
         self.begun.append(state.keys)
         gains = {COULOMB: 50.0, OFFSET: 50.0} if state.keys in ((COULOMB,), (OFFSET,)) else self.alone
         left = [(key, gain) for key, gain in gains.items() if key not in state.keys]
-        tried = (Trial(Scored(*key, 0.0), gain, 10.0, model_of(state.chosen), 3.0) for key, gain in left)
+        tried = [Trial(Scored(*key, 0.0), gain, 10.0, model_of(state.chosen), 3.0) for key, gain in left]
+        if self.chance and not state.keys:
+            tried = [replace(t, problem="chance") if t.key == OFFSET else t for t in tried]
         return replace(state, trials=tuple(tried))
 
 
@@ -116,6 +120,9 @@ class Pairs(Stages):
     "given, named, begun",
     [
         ({}, (COULOMB, OFFSET), [0, 1, 2]),
+        # the first has no more than both have beyond the second alone: 12 + 50 less 34 or 48, where it needs 16
+        ({"beside": 400.0, "chance": 34.0}, (COULOMB, OFFSET), [0, 1, 2]),
+        ({"beside": 400.0, "chance": 48.0}, (), [0, 1]),
         # the log must ask for the first one beside the second, by more than the first needed alone
         ({"beside": None}, (), [0, 1]),
         ({"beside": 15.0}, (), [0, 1]),
@@ -134,7 +141,8 @@ def test_of_a_pair_none_need_be_asked_for_alone(given, named, begun):
     accepted = [stage.accepted.key for stage in ended.history if stage.accepted]
     assert tuple(accepted) == named and len(ended.history) == len(named) + 1
     # the first one has the evidence that it has beside the second
-    assert [chosen.gain for chosen in ended.chosen] == [40.0, 50.0][: len(named)]
+    first = 12.0 + 50.0 - given["chance"] if "chance" in given else 40.0
+    assert [chosen.gain for chosen in ended.chosen] == [first, 50.0][: len(named)]
 
 
 def test_a_pair_needs_room_for_two(monkeypatch):

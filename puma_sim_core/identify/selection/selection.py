@@ -138,11 +138,16 @@ class Selection:
         accepting = replace(last, accepted=first, unclear=last.unclear - {first.key})
         ahead = self.add(replace(state, history=(*state.history[:-1], accepting)))
         ahead = _through(self.stage, ahead)
-        if ahead.history[-1].accepted is None:
+        second = ahead.history[-1].accepted
+        if second is None:
             return None
         both = _through(self.addition, ahead)
         if first.key in both.keys and len(both.chosen) >= len(state.chosen) + 2:
             gain = self.elimination.gain_beside(both, first.key)
+            alone = next((t for t in last.trials if t.key == second.key and not t.impossible), None)
+            if gain is not None and alone is not None:
+                # the second without the first may have ended in a local minimum, with less than it had by itself
+                gain = min(gain, first.gain + second.gain - alone.gain)
             if gain is not None and gain > last.needed(first):
                 chosen = tuple(replace(c, gain=gain) if c.key == first.key else c for c in both.chosen)
                 return replace(both, chosen=chosen)
