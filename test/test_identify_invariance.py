@@ -13,13 +13,16 @@ from loop_logs import record
 from rigs.jobs import mechanism_path
 from rigs.judging import flipped
 from rigs.logs import Table, write_table
-from rigs.variants import VARIANTS, Given
+from rigs.variants import VARIANTS, Given, command_in_thousandths, position_in_millimetres, unit_power
 
-from puma_sim_core.effects import parse_effect
+from puma_sim_core.effects import KINDS, parse_effect
+from puma_sim_core.effects.base import Role
 from puma_sim_core.files import read_yaml, yaml_text
 from puma_sim_core.identify import explain
 from puma_sim_core.identify.report.json import report_mapping
+from puma_sim_core.identify.settings import FITTING
 from puma_sim_core.plant.mechanism_file import load_mechanism
+from puma_sim_core.resources import config_path
 
 #: of one log; those of several logs, and of processes, are in `make rigs`
 CHANGES = (
@@ -67,3 +70,38 @@ def plain(tmp_path_factory):
 def test_a_change_without_physics_changes_no_answer(name, plain, tmp_path):
     given, before = plain
     assert flipped(before, outcome(VARIANTS[name].change(given), tmp_path), name) == []
+
+
+@pytest.mark.parametrize(
+    "name, change, powers",
+    [
+        ("pendulum", command_in_thousandths, {"V": 1, "A": -1}),
+        # of a drive on current the command is the current
+        ("slide", command_in_thousandths, {"V": 1, "A": 1}),
+        ("slide", position_in_millimetres, {"m": 1, "kg": -1}),
+    ],
+)
+def test_what_a_machine_may_have_is_the_same_in_any_unit(name, change, powers, tmp_path):
+    mapping = read_yaml(mechanism_path(name))
+    changed = change(Given((synthetic()[0],), columns=dict(zip(NAMES, NAMES)), mechanism=mapping))
+    (tmp_path / "changed.yaml").write_text(yaml_text(changed.mechanism), encoding="utf-8")
+    before, after = load_mechanism(name), load_mechanism(str(tmp_path / "changed.yaml"))
+    for kind in KINDS.values():
+        for parameter in (p for p in kind.parameters if p.plausible is not None):
+            factor = 1000.0 ** unit_power(before.unit(parameter.unit), powers)
+            joint = 0 if kind.per_joint else None
+            own, other = (np.array(machine.plausible(parameter, joint)) for machine in (before, after))
+            np.testing.assert_allclose(other, factor * own, rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in config_path("mechanisms").glob("*.yaml")))
+def test_a_law_allows_whatever_a_machine_may_have(name):
+    machine = load_mechanism(name)
+    for kind in KINDS.values() if machine.links_known else ():
+        # a stiffness of which more is less of an effect begins at an absolute value yet (docs/rigs.md)
+        for parameter in (p for p in kind.parameters if p.plausible is not None and not p.inverse):
+            for joint in range(machine.joints) if kind.per_joint else (None,):
+                least, most = machine.plausible(parameter, joint)
+                if parameter.role is Role.RATE:
+                    least /= FITTING.below_plausible
+                assert parameter.low <= least and most <= parameter.high, (name, kind.name, parameter.name)

@@ -12,12 +12,15 @@ import numpy as np
 import pytest
 
 from puma_sim_core.effects import KINDS, parse_effect
+from puma_sim_core.effects.screening import VOLTAGE_COLUMN
+from puma_sim_core.effects.shared.columns import candidate
 from puma_sim_core.identify.checks.wrong_zero import wrong_zeros
 from puma_sim_core.identify.fitting.point import Point
 from puma_sim_core.identify.fitting.prediction import Fitted, PredictionFit
 from puma_sim_core.identify.fitting.trial import Trial
 from puma_sim_core.identify.fitting.trials import Trials
 from puma_sim_core.identify.residuals.unnamed import Explained, curve_preferred
+from puma_sim_core.identify.screening.detect import detectable
 from puma_sim_core.identify.screening.evidence import Scored
 from puma_sim_core.identify.selection.elimination import Elimination, _Compared
 from puma_sim_core.identify.selection.selection import Selection
@@ -340,6 +343,36 @@ def test_plausible_sizes_go_with_the_machine_and_a_bound_is_no_size():
     for unit, joint in itertools.product(("N.m", "rad", "V", "A", "kg", "N.m/rad"), range(3)):
         # the ranges are those of the arm
         assert 0.3 < load_mechanism().effect_scale(unit, joint) < 3.0
+
+
+@pytest.mark.parametrize(
+    "mechanism, name, parameter, size, shown",
+    [
+        # the least friction that the log would show is much for the pendulum, and little for the arm
+        ("puma560", "coulomb_friction", "torque", 3.0, True),
+        ("pendulum", "coulomb_friction", "torque", 3.0, False),
+        ("pendulum", "coulomb_friction", "torque", 0.03, True),
+        # more of a stiffness is less of an effect: the arm's drives are stiffer, so that 50 N.m/rad is too much of one
+        ("puma560", "joint_elasticity", "stiffness", 50.0, False),
+        ("puma560", "joint_elasticity", "stiffness", 2e4, True),
+        ("pendulum", "joint_elasticity", "stiffness", 50.0, True),
+        # a delay may be longer by a period of the log, here 20 ms
+        ("pendulum", "input_delay", "time", 0.025, True),
+        ("pendulum", "input_delay", "time", 0.035, False),
+    ],
+)
+def test_what_a_log_could_show_is_compared_with_what_the_machine_may_have(mechanism, name, parameter, size, shown):
+    def values(coefficients):
+        return {parameter: size * float(coefficients[0])}
+
+    machine, kind = load_mechanism(mechanism), KINDS[name]
+    screened = candidate([np.zeros(3)], [1.0], [0.1], values, {}, VOLTAGE_COLUMN, fixed=True)
+    pairs, joint = [(screened, np.array([[100.0]]))], 1 if kind.per_joint else None
+    row = detectable(kind, joint, machine, 0.02, pairs, threshold=16.0)
+    assert (row.size, row.unit, row.excited) == (size, kind.parameter(parameter).unit, shown)
+    # what is seen is excited, whatever its size
+    found = parse_effect(f"{name}:{'joint=1,' if joint else ''}{parameter}={size}")
+    assert detectable(kind, joint, machine, 0.02, pairs, 16.0, found).excited
 
 
 @pytest.mark.parametrize(

@@ -38,7 +38,7 @@ EFFECT = Kind(
     equation="point mass m at (x, y, z) in the frame of link 3",
     sentence="A load at the tip: it adds inertia and weight to all joints in fixed ratios.",
     parameters=(
-        Parameter("mass", "kg", 0.0, 50.0, "m", SIZE, (0.2, 8.0)),
+        Parameter("mass", "kg", 0.0, 1e4, "m", SIZE, (0.2, 8.0)),
         Parameter("x", "m", -2.0, 2.0, "along x3", PLACE, default=0.0),
         Parameter("y", "m", -2.0, 2.0, "along y3, the axis of joint 3", PLACE, default=0.0),
         Parameter(

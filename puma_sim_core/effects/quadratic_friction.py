@@ -32,7 +32,7 @@ EFFECT = Kind(
     acts=TORQUE,
     equation="tau = c qd |qd|",
     sentence="Drag that grows with the square of the speed, as of churned grease or a fan.",
-    parameters=(Parameter("coefficient", "N.m.s2/rad2", 0.0, 500.0, "c, at the joint", SIZE, (0.5, 30.0)),),
+    parameters=(Parameter("coefficient", "N.m.s2/rad2", 0.0, 1e6, "c, at the joint", SIZE, (0.5, 30.0)),),
     laws=(Law(Point.MOTOR_TORQUE, quadratic_torque),),
     screening=Screening(quadratic, "Speeds above half of the greatest, in both directions."),
     drawn_against=("velocity",),

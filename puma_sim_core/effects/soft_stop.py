@@ -80,7 +80,7 @@ EFFECT = Kind(
     parameters=(
         stop("lower", 0, -inf),
         stop("upper", 1, inf),
-        Parameter("stiffness", "N.m/rad", 0.0, 1e6, "K", RATE, (5.0, 1e5), default=1e4),
+        Parameter("stiffness", "N.m/rad", 0.0, 1e7, "K", RATE, (5.0, 1e5), default=1e4),
         Parameter("damping", "N.m.s/rad", 0.0, 1000.0, "B", default=100.0),
     ),
     laws=(Law(Point.LINK_TORQUE, stop_torque),),

@@ -29,7 +29,7 @@ EFFECT = Kind(
     acts=VOLTAGE,
     equation="V = V max(1 - c sum |i|, 0), of all joints",
     sentence="The voltage of the common supply sags under the currents of all motors.",
-    parameters=(Parameter("coefficient", "1/A", 0.0, 1.0, "c, share of the voltage lost", SIZE, (0.001, 0.03)),),
+    parameters=(Parameter("coefficient", "1/A", 0.0, 1e3, "c, share of the voltage lost", SIZE, (0.001, 0.03)),),
     laws=(Law(Point.SUPPLY_SHARE, supply_share),),
     per_joint=False,
     needs=Needs(VOLTAGE_DRIVE, "a motor on voltage"),

@@ -309,8 +309,8 @@ class Stages:
             found = alike.get((kind.name, joint))
             causal = beside if found is None else alone
             pairs = [(c, causal.gram(c)) for c in candidates(kind, joint, causal.signals)]
-            row = detectable(kind, joint, pairs, state.history[-1].threshold.of((kind.name, joint)), found)
-            rows.append(replace(row, unit=self.mechanism.unit(row.unit)))
+            threshold = state.history[-1].threshold.of((kind.name, joint))
+            rows.append(detectable(kind, joint, self.mechanism, self.predictor.step, pairs, threshold, found))
         return tuple(rows)
 
     def errors(self, state: SelectionState) -> tuple[dict[str, Floats], dict[str, Errors]]:

@@ -133,11 +133,10 @@ def _beyond_machines(m: Mechanism, effect: Effect, name: str, high: float) -> bo
     """Whether the end of a size's interval is more than any machine has, as of friction that holds a joint."""
     spec, screening = effect.kind.parameter(name), effect.kind.screening
     from_outside = screening is not None and screening.placed
-    most = next((most for own, _, most in effect.kind.plausible if own == name), None)
-    if most is None or spec.role is not Role.SIZE or spec.inverse or from_outside or effect.joint is None:
+    if spec.role is not Role.SIZE or spec.inverse or from_outside or effect.joint is None:
         return False
-    scale = m.effect_scale(spec.unit, effect.joint - 1)
-    return scale is not None and high > FITTING.above_plausible * most * scale
+    plausible = m.plausible(spec, effect.joint - 1)
+    return plausible is not None and high > FITTING.above_plausible * plausible[1]
 
 
 def _asked(effect: Effect, name: str) -> bool:

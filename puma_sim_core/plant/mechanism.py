@@ -27,6 +27,7 @@ from puma_sim_core.errors import ParameterError
 
 if TYPE_CHECKING:
     from puma_sim_core.effects import Effect
+    from puma_sim_core.effects.base import Parameter
     from puma_sim_core.plant.plant import Plant
 
 MECHANISM_FORMAT = "puma-sim mechanism 1"
@@ -282,6 +283,22 @@ class Mechanism(ABC):
         scales = {"1": 1.0, "s": 1.0, "V": volts / _OF_ARM["volts"], "rad": angle, "rad/s": angle}
         scales |= {"N.m": torque, "N.m/rad": torque / angle, "N.m.s2/rad2": torque / angle**2}
         return scales.get(unit)
+
+    def plausible(self, parameter: Parameter, joint: int | None, period: float = 0.0) -> tuple[float, float] | None:
+        """(least, greatest) size of an effect's parameter on a machine like this one: the library's range, times
+        `effect_scale`.
+
+        joint : 0-based, None for an effect of the whole arm, which may have what it may have at any joint; period : of
+        the log [s], by which a time may be longer where the parameter says so. None: no range is known.
+        """
+        if parameter.plausible is None:
+            return None
+        joints = range(self.joints) if joint is None else (joint,)
+        scales = [scale for j in joints if (scale := self.effect_scale(parameter.unit, j)) is not None]
+        if not scales:
+            return None
+        low, high = parameter.plausible
+        return low * min(scales), high * max(scales) + parameter.periods * period
 
     def total_torque(self, theta: ArrayLike | None, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> np.ndarray:
         """(n, J) all that the motors must give: `torque` + Ia qdd + H qd."""

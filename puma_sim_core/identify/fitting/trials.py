@@ -240,12 +240,9 @@ class Trials:
 
     def _sizes(self, effect: Effect, name: str) -> list[float]:
         """Sizes of a parameter from the least to the greatest that a machine has, evenly in their logarithm."""
-        plausible = {each: (low, high) for each, low, high in effect.kind.plausible}
-        scale = self.mechanism.effect_scale(effect.kind.parameter(name).unit, (effect.joint or 1) - 1)
-        if name not in plausible or scale is None:
-            return []
-        low, high = plausible[name]
-        return [float(size) for size in np.geomspace(low * scale, high * scale, FITTING.threshold_sizes)]
+        joint = None if effect.joint is None else effect.joint - 1
+        plausible = self.mechanism.plausible(effect.kind.parameter(name), joint)
+        return [] if plausible is None else [float(size) for size in np.geomspace(*plausible, FITTING.threshold_sizes)]
 
     def free(self, point: Point) -> Pairs:
         """All free parameters of the effects of a model."""
@@ -277,16 +274,15 @@ class Trials:
         without_size = self._on_bound(effect) or self._illegal(effect)
         if without_size is not None:
             return without_size
-        joints = [effect.joint - 1] if effect.joint is not None else list(range(self.mechanism.joints))
+        joint = None if effect.joint is None else effect.joint - 1
         small: list[str | None] = []
-        for name, low, high in effect.kind.plausible:
+        for name, _, _ in effect.kind.plausible:
             value, parameter = effect.values.get(name), effect.kind.parameter(name)
-            scales = [self.mechanism.effect_scale(parameter.unit, j) for j in joints]
-            known = [scale for scale in scales if scale is not None]
-            if value is None or not known:
+            period = self.predictor.step if parameter.periods else 0.0
+            plausible = self.mechanism.plausible(parameter, joint, period)
+            if value is None or plausible is None:
                 continue
-            late = parameter.periods * self.predictor.step if parameter.periods else 0.0
-            least, most = low * min(known), high * max(known) + late
+            least, most = plausible
             unit = self.mechanism.unit(parameter.unit)
             size, least_size, most_size = (plain_quantity(each, unit) for each in (value, least, most))
             less = f"{IMPOSSIBLE}: {name} {size}, less than any machine has ({least_size})"

@@ -83,9 +83,9 @@ def transmission(sides: Sides, joint: int, mechanism: Mechanism) -> list[Term]:
 def _plausible(mechanism: Mechanism, joint: int, name: str, parameter: str) -> tuple[float, float]:
     """Plausible sizes of an effect on a machine."""
     found = KINDS[name].parameter(parameter)
-    assert found.plausible is not None
-    scale = mechanism.effect_scale(found.unit, joint) or 1.0
-    return found.plausible[0] * scale, found.plausible[1] * scale
+    plausible = mechanism.plausible(found, joint)
+    assert plausible is not None
+    return plausible
 
 
 def sizes(term: Term, mean: float, deviation: float, mechanism: Mechanism) -> dict[str, Interval]:

@@ -3,7 +3,7 @@
 
 A coefficient of size c along a column with X'PX = G raises the log evidence by c^2 G / 2 less the Occam factor of its
 prior. The size where that reaches the threshold of a name is the smallest that the log could show; where it is larger
-than any plausible size, the log does not excite the effect.
+than any that the machine may have, the log does not excite the effect.
 """
 
 from collections.abc import Iterable, Sequence
@@ -14,22 +14,24 @@ from puma_sim_core.effects import Effect, Kind
 from puma_sim_core.effects.screening import Candidate, Illegal
 from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.result import Detectable
+from puma_sim_core.plant.mechanism import Mechanism
 
 
 def detectable(
     kind: Kind,
     joint: int | None,
+    mechanism: Mechanism,
+    period: float,
     pairs: Iterable[tuple[Candidate, Floats]],
     threshold: float,
     found: Effect | None = None,
 ) -> Detectable:
     """The row of one hypothesis.
 
-    pairs : (candidate, X'PX of its columns); threshold : gain of log evidence of a name [nat]; found : the effect as
-    the log shows it, None where it does not.
+    joint : 1-based; period : of the log [s]; pairs : (candidate, X'PX of its columns); threshold : gain of log
+    evidence of a name [nat]; found : the effect as the log shows it, None where it does not.
     """
-    limits = {p: (low, high) for p, low, high in kind.plausible}
-    parameter = kind.parameter(next(iter(limits), kind.parameters[0].name))
+    parameter = kind.parameter(next((name for name, _, _ in kind.plausible), kind.parameters[0].name))
     sizes = [size for c, G in pairs for size in _sizes(c, G, parameter.name, threshold)]
     # a small stiffness is a great effect: there the largest value that shows is the limit
     least = max if parameter.inverse else min
@@ -37,9 +39,9 @@ def detectable(
     if found is not None:
         shown = abs(found.values[parameter.name])
         size = shown if not np.isfinite(size) else least(size, shown)
-    low, high = limits.get(parameter.name, (0.0, np.inf))
+    low, high = mechanism.plausible(parameter, None if joint is None else joint - 1, period) or (0.0, np.inf)
     excited = found is not None or bool(np.isfinite(size) and (size >= low if parameter.inverse else size <= high))
-    return Detectable(kind.name, joint, parameter.name, float(size), parameter.unit, excited)
+    return Detectable(kind.name, joint, parameter.name, float(size), mechanism.unit(parameter.unit), excited)
 
 
 def _sizes(c: Candidate, G: Floats, parameter: str, threshold: float) -> Sequence[float]:
