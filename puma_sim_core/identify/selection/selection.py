@@ -144,11 +144,9 @@ class Selection:
         both = _through(self.addition, ahead)
         if first.key in both.keys and len(both.chosen) >= len(state.chosen) + 2:
             gain = self.elimination.gain_beside(both, first.key)
-            alone = next((t for t in last.trials if t.key == second.key and not t.impossible), None)
-            if gain is not None and alone is not None:
-                # the second without the first may have ended in a local minimum, with less than it had by itself
-                gain = min(gain, first.gain + second.gain - alone.gain)
-            if gain is not None and gain > last.needed(first):
+            # the second without the first may have ended in a local minimum, with less than it had by itself
+            alone = max((t.gain for t in last.trials if t.key == second.key and not t.impossible), default=-np.inf)
+            if gain is not None and (gain := min(gain, first.gain + second.gain - alone)) > last.needed(first):
                 chosen = tuple(replace(c, gain=gain) if c.key == first.key else c for c in both.chosen)
                 return replace(both, chosen=chosen)
         return self._rubbing(state, ahead.history[-1])
