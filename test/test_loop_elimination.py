@@ -19,7 +19,7 @@ from puma_sim_core.identify.screening.evidence import Scored
 from puma_sim_core.identify.selection.elimination import Elimination
 from puma_sim_core.identify.selection.selection import Selection
 from puma_sim_core.identify.selection.state import Chosen, SelectionState, Stage, Threshold
-from puma_sim_core.identify.settings import FITTING
+from puma_sim_core.identify.settings import FITTING, SELECTION
 
 pytestmark = pytest.mark.long
 
@@ -100,6 +100,69 @@ def test_the_gain_beside_another_effect_is_that_of_the_fits_with_and_without():
             continue
         bare, _ = fit.to_end(Point(PENDULUM.start, (friction,)), ((0, "torque"),), times=8, gain=0.1)
         assert gain > 100.0 and gain == pytest.approx(bare.objective - model.objective - occam, rel=0.05)
+
+
+def both_found(true, first, then, second, *rivals):
+    """The trials of a pendulum with the effects `true`, and the state of a selection that accepted one effect and a
+    second one before its rivals, and whose first has come out as another (`then`); all of them in the text form."""
+    plant = PENDULUM.plant(effects=tuple(map(parse_effect, true)))
+    problem, _, predictor = pieces(PENDULUM, record(PENDULUM, plant, volts=NOISE, noise=1e-5), NOISE, 1e-5)
+    fit = PredictionFit(predictor, predictor.unfiltered_weighting(predictor.errors(plant)))
+    trials, start = Trials(predictor, problem), PENDULUM.start
+
+    def ended(*effects):
+        point = Point(start, tuple(map(parse_effect, effects)))
+        return fit.to_end(point, trials.free(point), patient=True)[0]
+
+    def trial(model, gain):
+        effect = model.point.effects[-1]
+        return Trial(Scored(effect.kind.name, effect.joint, gain, values=dict(effect.values)), gain, 50.0, model, 3.0)
+
+    base, one, other = ended(), trial(ended(first), 200.0), trial(ended(then), 190.0)
+    beside = [trial(ended(first, text), 100.0 - n) for n, text in enumerate((second, *rivals))]
+    stages = (
+        Stage((one, other), Threshold.alike(16.0), base, one),
+        Stage(tuple(beside), Threshold.alike(16.0), one.model, beside[0]),
+    )
+    chosen = (Chosen.of(other, stages, stages[0], 190.0), Chosen.of(beside[0], stages))
+    return trials, SelectionState(ended(then, second), None, fit.weighting, chosen, stages)
+
+
+def test_an_effect_that_was_right_beside_a_wrong_one_alone_is_exchanged_in_the_end():
+    """Seen on a simulated slide: beside bristles a delay had more than the lag that the machine has, and when the
+    bristles had become one level of friction the lag had 536 nat more."""
+    friction, lag = "coulomb_friction:joint=1,torque=0.05", "sensor_lag:joint=1,time_constant=0.013"
+    bristles = "presliding_friction:joint=1,stiffness=20,torque=0.05"
+    trials, state = both_found((friction, lag), bristles, friction, "input_delay:time=0.006", lag)
+    elimination = Elimination(trials, KINDS)
+    found = elimination.exchange(state)
+    assert found.keys == (("coulomb_friction", 1), ("sensor_lag", 1))
+    assert found.model.point.effects[1].values["time_constant"] == pytest.approx(0.013, rel=0.1)
+    # its evidence is greater by what the fits gain
+    gained = state.model.objective - found.model.objective
+    assert gained > 100.0 and found.chosen[1].gain == pytest.approx(100.0 + gained, abs=FITTING.finished)
+    # and what the log has stays
+    assert elimination.exchange(found) is found
+
+
+def test_an_effect_beside_those_that_it_was_chosen_beside_was_compared_with_its_rivals_there():
+    friction, lag = "coulomb_friction:joint=1,torque=0.05", "sensor_lag:joint=1,time_constant=0.013"
+    trials, state = both_found((friction, lag), friction, friction, "input_delay:time=0.006", lag)
+    assert Elimination(trials, KINDS).exchange(state) is state
+
+
+@pytest.mark.parametrize("differs, taken", [(0.00018, False), (0.001, True)])
+def test_what_contains_an_effect_takes_its_place_only_for_what_a_name_needs(differs, taken):
+    lag, delay = "sensor_lag:joint=1,time_constant=0.006", "input_delay:time=0.006"
+    one, two = "coulomb_friction:joint=1,torque=0.05", "asymmetric_coulomb_friction:joint=1,positive={},negative={}"
+    two = two.format(0.05 + differs, 0.05 - differs)
+    trials, state = both_found((delay, two), lag, delay, one, two)
+    at = Point(state.model.point.theta, (state.model.point.effects[0], parse_effect(two)))
+    rich, _ = PredictionFit(trials.predictor, state.noise).to_end(at, trials.free(at))
+    # beyond what another rival needs
+    assert state.model.objective - rich.objective > 2.0 * SELECTION.replacement_gain
+    found = Elimination(trials, KINDS).exchange(state)
+    assert found.keys[1] == ("asymmetric_coulomb_friction" if taken else "coulomb_friction", 1)
 
 
 def beside_a_spring():

@@ -119,6 +119,22 @@ def test_a_level_that_holds_the_joint_is_sought_among_those_that_machines_have()
     assert wide.gain < 0.0 and freed.model.objective < found.model.objective + 1.0
 
 
+def test_effects_that_contain_one_another_start_from_each_other_until_none_gains():
+    """Seen on a simulated pendulum: one level of friction was fitted on from two, and stayed ahead of these."""
+    base, trials, state = lacking(parse_effect("asymmetric_coulomb_friction:joint=1,positive=0.06,negative=0.04"))
+    plain = held(base, "coulomb_friction", torque=0.3)
+    wide = held(base, "asymmetric_coulomb_friction", positive=0.02, negative=0.08)
+    assert wide.gain > plain.gain
+    state, refits = replace(state, trials=(plain, wide)), Refits(trials, KINDS)
+    one, two = refits.from_containing(refits.from_nested(state)).trials
+    assert one.model.objective < two.model.objective
+    one, two = refits.related(state).trials
+    assert two.model.objective < one.model.objective - 16.0
+    # one more round changes nothing
+    again = refits.related(replace(state, trials=(one, two))).trials
+    assert again == (one, two)
+
+
 def test_no_level_is_found_where_no_dry_friction_is():
     base, trials, _ = lacking(parse_effect("voltage_offset:joint=1,voltage=0.1"))
     scored = Scored("coulomb_friction", 1, 0.0, values={"torque": 2.0})

@@ -59,6 +59,15 @@ class Elimination:
         """Replace effects that come out as one that they contain, whose fit may not have ended when tried. A pass."""
         return reduce(self._simplified, range(len(state.chosen)), state)
 
+    def exchange(self, state: SelectionState) -> SelectionState:
+        """Put rivals in the place of effects that they are clearly better than beside the others, where these are not
+        those that the effect was chosen beside: it may have been right beside them alone. A pass."""
+        for number in range(len(state.chosen)):
+            changed = self._exchanged(state, number)
+            if changed is not None:
+                return self.exchange(changed)
+        return state
+
     def withdraw(self, state: SelectionState) -> SelectionState:
         """Take out effects of which no machine has the values that the model has come to: a trial's fit need not have
         ended. What the log asks for and no machine has refutes that nothing is missing. A pass."""
@@ -217,6 +226,27 @@ class Elimination:
             return state
         gain = chosen.gain + first[0].objective - fitted.objective + own.occam - trial.occam
         new = Chosen.of(trial, state.history, stage, gain)
+        return replace(state, model=fitted, jacobian=None, chosen=_placed(state.chosen, number, new))
+
+    def _exchanged(self, state: SelectionState, number: int) -> SelectionState | None:
+        """The state with the best rival of one of its effects in the place of that, if it is clearly better."""
+        fit, chosen, point = PredictionFit(self.predictor, state.noise), state.chosen[number], state.model.point
+        beside = {(effect.kind.name, effect.joint) for effect in chosen.stage.base.point.effects}
+        rivals = self._rivals(state, chosen.key)
+        if not rivals or beside == {*_less(state.keys, number)}:
+            return None
+        own = self._ended(state, point, number, chosen.tried, point.effects[number])
+        found = [self._ended(state, point, number, rival, rival.effect) for rival in rivals]
+        possible = [pair for pair in found if not self.trials.problem_of(fit, pair[0], number)]
+        best = min(possible, key=_cost, default=own)
+        fitted, trial = best
+        gain = _cost(own) - _cost(best)
+        # one that contains it is it and something more, which needs what a name does
+        least = SELECTION.least_gain if self._contains(trial, chosen.key[0]) else SELECTION.replacement_gain
+        least *= dispersion(self.predictor, own[0].slopes, own[0].errors, len(point.theta))
+        if gain <= least or not clearly_better(self.predictor, fitted, own[0]):
+            return None
+        new = Chosen.of(trial, state.history, chosen.stage, chosen.gain + gain)
         return replace(state, model=fitted, jacobian=None, chosen=_placed(state.chosen, number, new))
 
     def _ended(

@@ -70,8 +70,7 @@ class Selection:
             self.try_short_list,
             refits.from_levels,
             self.try_richer,
-            refits.from_nested,
-            refits.from_containing,
+            refits.related,
             refits.from_previous,
             refits.rebased,
             refits.from_base,
@@ -80,7 +79,7 @@ class Selection:
             self.estimate_noise,
             refits.from_usual,
             refits.polished,
-            refits.from_containing,
+            refits.related,
             refits.rebased,
             self.compare_elsewhere,
             self.decide,
@@ -90,6 +89,7 @@ class Selection:
         #: after the last stage
         self.conclusion: tuple[Pass, ...] = (
             self.elimination.simplify,
+            self.elimination.exchange,
             self.elimination.confirm,
             self.finish,
             self.withdraw,
