@@ -23,6 +23,8 @@ LOOP_ARGS ?=
 SCORE_COUNT ?= 390
 SCORE_SEED ?= 920000
 SCORE_ARGS ?=
+# seeds and further options of make machines
+MACHINES_ARGS ?=
 # machines of make rigs, such as 'xl330 emps' (empty: all), and further options
 RIGS ?=
 RIGS_ARGS ?=
@@ -46,7 +48,7 @@ INSTALLED := $(VENV)/.installed$(if $(NUMPY),-numpy-$(NUMPY))
 CANDIDATES := python3.12 python3.11 python3 python3.13 python3.10
 SUITABLE := import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 10))
 
-.PHONY: help run loop view test test-all test-long coverage lint docs score rigs bench colcon js-readers clean distclean same-python
+.PHONY: help run loop view test test-all test-long coverage lint docs score machines rigs bench colcon js-readers clean distclean same-python
 
 help:
 	@echo "make run         move the simulated arm down a vertical line over ROS 2, record, replay"
@@ -58,6 +60,7 @@ help:
 	@echo "make lint        ruff, mypy, import-linter, codespell"
 	@echo "make docs        build the documentation site in build/docs; warnings are errors"
 	@echo "make score       explain fresh blind records, print how often that is right (an hour)"
+	@echo "make machines    explain simulated logs of other machines, print what was right (half an hour)"
 	@echo "make rigs        explain measured logs of real machines, one page (needs PUMA_SIM_DATA; an hour)"
 	@echo "make bench       speed beside other simulators (in its own environment, $(BENCH_VENV))"
 	@echo "make bench AGAINST=v1  speed beside another revision of this project, in one run"
@@ -68,6 +71,7 @@ help:
 	@echo "PYTHON=python3.11  the interpreter to use    NUMPY=1.26  hold NumPy to that release"
 	@echo "VENV=.venv311      another environment       PYTEST_ARGS='-k bag'  passed on to pytest"
 	@echo "SCORE_COUNT=40 SCORE_SEED=920000  records of make score, and the seed of the first"
+	@echo "MACHINES_ARGS='--seed 1000 --count 70'  records of make machines"
 	@echo "RIGS='xl330 emps' RIGS_ARGS=--no-invariances  machines of make rigs, and its options"
 	@echo "LOOP_ARGS='--effect joint_spring:joint=3,stiffness=6'  another effect to hide"
 
@@ -197,6 +201,10 @@ docs: $(VENV)/.docs
 score: $(INSTALLED)
 	@$(BIN)/python test/score/run.py --count $(SCORE_COUNT) --seed $(SCORE_SEED) --out build/score \
 	    $(SCORE_ARGS)
+
+# Outcomes are kept in build/machines, as for make score.
+machines: $(INSTALLED)
+	@$(BIN)/python test/machines/run.py --out build/machines $(MACHINES_ARGS)
 
 # Outcomes are kept in build/rigs, as for make score.
 rigs: $(INSTALLED)
