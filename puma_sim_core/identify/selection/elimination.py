@@ -60,8 +60,8 @@ class Elimination:
         return reduce(self._simplified, range(len(state.chosen)), state)
 
     def exchange(self, state: SelectionState) -> SelectionState:
-        """Put rivals in the place of effects that they are clearly better than beside the others, where these are not
-        those that the effect was chosen beside: it may have been right beside them alone. A pass."""
+        """Put rivals in the place of effects that they are clearly better than beside the others: where these are not
+        those that the effect was chosen beside, it may have been right beside them alone. A pass."""
         for number in range(len(state.chosen)):
             changed = self._exchanged(state, number)
             if changed is not None:
@@ -231,15 +231,23 @@ class Elimination:
     def _exchanged(self, state: SelectionState, number: int) -> SelectionState | None:
         """The state with the best rival of one of its effects in the place of that, if it is clearly better."""
         fit, chosen, point = PredictionFit(self.predictor, state.noise), state.chosen[number], state.model.point
-        beside = {(effect.kind.name, effect.joint) for effect in chosen.stage.base.point.effects}
         rivals = self._rivals(state, chosen.key)
-        if not rivals or beside == {*_less(state.keys, number)}:
+        if {(e.kind.name, e.joint) for e in chosen.stage.base.point.effects} == {*_less(state.keys, number)}:
+            # they were compared there, but the fit of what contains it need not have ended
+            rivals = self._seen_beside(state, [t for t in rivals if self._contains(t, chosen.key[0])])
+        if not rivals:
             return None
-        own = self._ended(state, point, number, chosen.tried, point.effects[number])
-        found = [self._ended(state, point, number, rival, rival.effect) for rival in rivals]
+        own, found = (
+            self._ended(state, point, number, chosen.tried, point.effects[number]),
+            list[tuple[Fitted, Trial]](),
+        )
+        for rival in rivals:
+            at = fit.best_of([Point(point.theta, _placed(point.effects, number, rival.effect))])
+            if at is not None:
+                fitted, _ = fit.to_end(at, self.trials.free(at), patient=not at.two_mass)
+                found.append((fitted, rival))
         possible = [pair for pair in found if not self.trials.problem_of(fit, pair[0], number)]
-        best = min(possible, key=_cost, default=own)
-        fitted, trial = best
+        fitted, trial = best = min(possible, key=_cost, default=own)
         gain = _cost(own) - _cost(best)
         # one that contains it is it and something more, which needs what a name does
         least = SELECTION.least_gain if self._contains(trial, chosen.key[0]) else SELECTION.replacement_gain
@@ -248,6 +256,17 @@ class Elimination:
             return None
         new = Chosen.of(trial, state.history, chosen.stage, chosen.gain + gain)
         return replace(state, model=fitted, jacobian=None, chosen=_placed(state.chosen, number, new))
+
+    def _seen_beside(self, state: SelectionState, trials: list[Trial]) -> list[Trial]:
+        """Those that a screening about the model sees as much of as a name needs."""
+        own = [t for t in trials if not self.library[t.name].two_masses]
+        if not own:
+            return []
+        fit, model = PredictionFit(self.predictor, state.noise), state.model
+        columns = fit.whitened(fit.derivatives(model.point, self.trials.free(model.point), state.nearby))
+        causal = CausalScreen(fit, model.point, model.errors, columns, self.trials.problem)
+        scored = [(t, causal.score(self.library[t.name], t.joint)) for t in own]
+        return [t for t, seen in scored if seen is not None and seen.gain > SELECTION.least_gain]
 
     def _ended(
         self, state: SelectionState, about: Point, number: int, trial: Trial, effect: Effect
