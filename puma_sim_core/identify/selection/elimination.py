@@ -237,14 +237,13 @@ class Elimination:
             rivals = self._seen_beside(state, [t for t in rivals if self._contains(t, chosen.key[0])])
         if not rivals:
             return None
-        own, found = (
-            self._ended(state, point, number, chosen.tried, point.effects[number]),
-            list[tuple[Fitted, Trial]](),
-        )
+        own = self._ended(state, point, number, chosen.tried, point.effects[number])
+        near = fit.derivatives(point, self.trials.free(point))
+        found = list[tuple[Fitted, Trial]]()
         for rival in rivals:
             at = fit.best_of([Point(point.theta, _placed(point.effects, number, rival.effect))])
             if at is not None:
-                fitted, _ = fit.to_end(at, self.trials.free(at), patient=not at.two_mass)
+                fitted, _ = fit.to_end(at, self.trials.free(at), near=near, patient=not at.two_mass)
                 found.append((fitted, rival))
         possible = [pair for pair in found if not self.trials.problem_of(fit, pair[0], number)]
         fitted, trial = best = min(possible, key=_cost, default=own)
