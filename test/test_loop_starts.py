@@ -135,6 +135,26 @@ def test_effects_that_contain_one_another_start_from_each_other_until_none_gains
     assert again == (one, two)
 
 
+def test_fits_that_creep_on_end():
+    """Seen on a record with a limit: from each other two forms of friction gained a few nat for minutes."""
+    base, trials, state = lacking(parse_effect("coulomb_friction:joint=1,torque=0.05"))
+
+    class Creeping(Refits):
+        rounds = 0
+
+        def from_nested(self, state):
+            self.rounds += 1
+            return replace(state, trials=tuple(replace(t, gain=t.gain + 3.0) for t in state.trials))
+
+        def from_containing(self, state):
+            return state
+
+    creeping = Creeping(trials, KINDS)
+    one = held(base, "coulomb_friction", torque=0.3)
+    assert creeping.related(replace(state, trials=(one,))).trials[0].gain == one.gain + 3.0 * creeping.rounds
+    assert creeping.rounds < 10
+
+
 def test_no_level_is_found_where_no_dry_friction_is():
     base, trials, _ = lacking(parse_effect("voltage_offset:joint=1,voltage=0.1"))
     scored = Scored("coulomb_friction", 1, 0.0, values={"torque": 2.0})

@@ -33,12 +33,13 @@ class Refits:
     def related(self, state: SelectionState) -> SelectionState:
         """Trials of effects that contain one another start from each other (`from_nested`, `from_containing`), until
         none gains by that: one that was fitted on from a richer one may be ahead of that, or of a third."""
-        while True:
+        for _ in range(SELECTION.related_rounds):
             found = self.from_containing(self.from_nested(state))
             gained = (a.gain - b.gain for a, b in zip(found.trials, state.trials))
             state = found
             if not any(gain > SELECTION.polished for gain in gained):
-                return state
+                break
+        return state
 
     def from_nested(self, state: SelectionState) -> SelectionState:
         """Trials that fit worse than an effect that they contain start from the parameters of that one, with their own

@@ -63,6 +63,9 @@ class Selection:
     relinearised_share: float = 0.03
     #: of the size of an effect that it contains, from which a trial starts once more
     size_shares: tuple[float, ...] = (1.0, 0.5, 0.25)
+    #: times that trials start from those that contain them, or that they contain: there and back, and once more. Fits
+    #: of a few steps each may creep on by 2 nat and more: of r01 of the other generator for minutes
+    related_rounds: int = 3
     no_more: float = 1.0  #: gain of likelihood [nat] below which a trial is no more than an effect that it contains
     #: share of the best gain above which a trial is fitted to its end, for how many, and from which gain [nat] on
     near_best: float = 0.6
