@@ -123,6 +123,30 @@ def test_a_bounded_step_is_the_least_that_its_bounds_allow(seed):
     assert np.abs((normal @ step + gradient)[~held]).max() < 1e-9 * np.abs(gradient).max()
 
 
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.2])
+def test_a_stop_has_the_damping_that_the_log_shows(share):
+    """Without it each bounce ends in a push that nothing explains. share : of the critical damping."""
+    plain, place, stiffness = PENDULUM.plant(), HIGHEST - 0.1, 5.0
+    signals = pieces(PENDULUM, record(PENDULUM, plain), NOISE, 1e-5)[0].signals(PENDULUM.start)
+    inertia = float(signals.link_inertia[:, 0].mean() + signals.motor_inertia[0])
+    asked = {"lower": -9.0, "upper": place, "stiffness": stiffness}
+    true = Effect(KINDS["soft_stop"], 1, {**asked, "damping": 2.0 * share * float(np.sqrt(stiffness * inertia))})
+    base, trials, _ = lacking(true)
+    stops = KINDS["soft_stop"].screening.candidates(trials.problem.signals(PENDULUM.start), 0)
+    near = min((c for c in stops if "upper" in c.grid), key=lambda c: abs(c.grid["upper"] - place))
+    screened = near.values(np.array([stiffness]))
+    trial = trials.run(base, Scored("soft_stop", 1, 0.0, values=screened, occam=3.0), again=True)
+    ends, _ = base.fit.to_end(trial.model.point, trials.free(trial.model.point), patient=True)
+    found, best = (
+        ends.point.effects[0].values,
+        base.fit.to_end(Point(PENDULUM.start, (true,)), trials.free(ends.point))[0],
+    )
+    assert ends.objective < best.objective + 1.0
+    critical = 2.0 * np.sqrt(found["stiffness"] * inertia)
+    assert found["damping"] / critical == pytest.approx(share, abs=0.01), found
+    assert found["stiffness"] == pytest.approx(stiffness, rel=0.05) and found["upper"] == pytest.approx(place, abs=1e-3)
+
+
 def fit_of(mechanism, effect, seconds=1.0):
     """A fit to a log of a plant with an effect, and its innovations."""
     plant = mechanism.plant(effects=(effect,))

@@ -80,7 +80,7 @@ EFFECT = Kind(
     "the motor's position, an antiresonance.",
     parameters=(
         Parameter("stiffness", "N.m/rad", 10.0, 1e7, "K, at the joint", RATE, (2e3, 1e5), inverse=True),
-        Parameter("damping", "N.m.s/rad", 0.0, 1000.0, "B, at the joint", default=5.0),
+        Parameter("damping", "N.m.s/rad", 0.0, 1e5, "B, at the joint", default=5.0),
         MOTOR_SHARE,
     ),
     train=lambda v: Train((v["stiffness"], v["damping"]), motor_share=v["motor_share"]),

@@ -16,6 +16,9 @@ from puma_sim_core.jit import Table, inlined
 _DEPTHS = np.geomspace(0.0012, 1.1, 24)
 #: counts of the encoder that a stop must be pressed in to be seen at all, and samples in it that show it
 _COUNTS, _SAMPLES = 5.0, 20
+#: share of critical damping that a fit starts from: rubber has 2 to 15 % of it, steel less. From none it would have to
+#: start without a scale
+_DAMPED = 0.05
 #: deflection of a stop
 _PRESSED = {"upper": np.maximum, "lower": np.minimum}
 
@@ -34,6 +37,7 @@ def soft_stop(signals: Signals, joint: int) -> list[Candidate]:
     """max(0, q - qs) near the upper end of the travelled range and min(0, q - qs) near the lower, for a grid of qs; the
     coefficient is the stiffness."""
     q, scale = signals.position[:, joint], float(signals.torque_scale[joint])
+    inertia = float(signals.link_inertia[:, joint].mean() + signals.motor_inertia[joint])
     low, high = travelled(signals, joint)
     range_low, range_high = signals.ranges[joint]
     # the stop of the other side stands where the joint's range ends, or beyond the motion
@@ -43,7 +47,9 @@ def soft_stop(signals: Signals, joint: int) -> list[Candidate]:
     def at(side: str, place: float, pressed: float) -> Candidate:
         def values(c: np.ndarray, **stop: float) -> dict[str, float]:
             other = beyond if side == "upper" else above
-            return {**stop, **other, "stiffness": positive(c[0], "stiffness", "N.m/rad", 1e6), "damping": 0.0}
+            stiffness = positive(c[0], "stiffness", "N.m/rad", 1e6)
+            damping = float(2.0 * _DAMPED * np.sqrt(stiffness * inertia))
+            return {**stop, **other, "stiffness": stiffness, "damping": damping}
 
         # the deepest press takes a few nominal friction torques
         column, unit = _PRESSED[side](q - place, 0.0), scale / pressed
@@ -56,8 +62,9 @@ def soft_stop(signals: Signals, joint: int) -> list[Candidate]:
 
 
 def fitted(names: list[str], values: Values, lowest: float, highest: float) -> list[str]:
-    """Parameters that a log tells of: the stiffness, and the stops that its motion from lowest to highest meets."""
-    met = {"stiffness": True, "lower": values["lower"] > lowest, "upper": values["upper"] < highest}
+    """Parameters that a log tells of: of the stop's material, and the places that its motion from lowest to highest
+    meets."""
+    met = {"stiffness": True, "damping": True, "lower": values["lower"] > lowest, "upper": values["upper"] < highest}
     return [name for name in names if met.get(name, False)]
 
 
@@ -81,7 +88,7 @@ EFFECT = Kind(
         stop("lower", 0, -inf),
         stop("upper", 1, inf),
         Parameter("stiffness", "N.m/rad", 0.0, 1e7, "K", RATE, (5.0, 1e5), default=1e4),
-        Parameter("damping", "N.m.s/rad", 0.0, 1000.0, "B", default=100.0),
+        Parameter("damping", "N.m.s/rad", 0.0, 1e5, "B", default=100.0),
     ),
     laws=(Law(Point.LINK_TORQUE, stop_torque),),
     check=lambda values: None if values["lower"] < values["upper"] else "lower below upper",
