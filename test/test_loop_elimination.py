@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import reduce
+from functools import partial, reduce
 
 import pytest
 from loop_fits import NOISE, PENDULUM, lacking
@@ -20,6 +20,7 @@ from puma_sim_core.identify.selection.elimination import Elimination
 from puma_sim_core.identify.selection.selection import Selection
 from puma_sim_core.identify.selection.state import Chosen, SelectionState, Stage, Threshold
 from puma_sim_core.identify.settings import FITTING, SELECTION
+from puma_sim_core.identify.standing import better_by, standings
 
 pytestmark = pytest.mark.long
 
@@ -141,6 +142,11 @@ def test_an_effect_that_was_right_beside_a_wrong_one_alone_is_exchanged_in_the_e
     # its evidence is greater by what the fits gain
     gained = state.model.objective - found.model.objective
     assert gained > 100.0 and found.chosen[1].gain == pytest.approx(100.0 + gained, abs=FITTING.finished)
+    # the page says how far the other is from it now
+    rows = {row.key: row for row in standings(found, partial(better_by, trials.predictor))}
+    replaced = rows["input_delay", None]
+    assert rows["sensor_lag", 1].evidence - replaced.evidence == pytest.approx(gained, abs=FITTING.finished)
+    assert replaced.against == ("sensor_lag", 1) and replaced.verdict.startswith("lower than sensor lag by")
     # and what the log has stays
     assert elimination.exchange(found) is found
 

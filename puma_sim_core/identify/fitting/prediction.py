@@ -8,7 +8,7 @@ The innovations of a true model are white and independent of the past, with feed
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import itemgetter
 from typing import NamedTuple
 
@@ -73,6 +73,13 @@ class Fitted:
         """`jacobian` of a model that has one."""
         assert self.jacobian is not None
         return self.jacobian
+
+    def with_last(self, number: int) -> Fitted:
+        """The same model with one of its effects, by its number, after the others."""
+        effects = self.point.effects
+        order = [*(n for n in range(len(effects)) if n != number), number]
+        point = replace(self.point, effects=tuple(effects[n] for n in order))
+        return replace(self, point=point, names=tuple((order.index(n), name) for n, name in self.names))
 
 
 class PredictionFit:

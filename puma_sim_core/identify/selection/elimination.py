@@ -253,7 +253,10 @@ class Elimination:
         least *= dispersion(self.predictor, own[0].slopes, own[0].errors, len(point.theta))
         if gain <= least or not clearly_better(self.predictor, fitted, own[0]):
             return None
-        new = Chosen.of(trial, state.history, chosen.stage, chosen.gain + gain)
+        # the page says how far each of them is from the one that it names
+        ended = {t.key: (_cost(own) - _cost((f, t)), f.with_last(number)) for f, t in [own, *possible]}
+        stage = chosen.stage.ended(chosen.gain, chosen.key, ended, trial.key)
+        new = Chosen.of(trial, state.history, stage, chosen.gain + gain)
         return replace(state, model=fitted, jacobian=None, chosen=_placed(state.chosen, number, new))
 
     def _seen_beside(self, state: SelectionState, trials: list[Trial]) -> list[Trial]:

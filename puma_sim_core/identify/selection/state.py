@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from puma_sim_core.effects import KINDS
@@ -88,6 +88,23 @@ class Stage:
 
         accepted = trial if same(self.accepted) else self.accepted
         return replace(self, trials=tuple(trial if same(t) else t for t in self.trials), accepted=accepted)
+
+    def ended(self, gain: float, key: Key, fits: Mapping[Key, tuple[float, Fitted]], accepted: Key) -> Stage:
+        """The stage with fits that came to their end in its trials' place, and another trial accepted.
+
+        gain [nat] : what the effect of `key` has by now; fits : the nat that each has more than that, and the model
+        with it, its effect last.
+        """
+        moved = gain - next(t.gain for t in self.trials if t.key == key)
+
+        def now(trial: Trial) -> Trial:
+            more, fitted = fits.get(trial.key, (None, None))
+            if more is None or fitted is None:
+                return replace(trial, gain=trial.gain + moved)
+            return replace(trial, gain=gain + more, fitted=replace(fitted, jacobian=None))
+
+        trials = tuple(sorted(map(now, self.trials), key=lambda t: -t.gain))
+        return replace(self, trials=trials, accepted=next(t for t in trials if t.key == accepted))
 
     def needed(self, trial: Trial) -> float:
         """The gain [nat] that a trial must have more than: more where the validation set says nothing of it, but for
