@@ -68,9 +68,8 @@ def test_each_machine_may_have_all_that_its_drive_train_can(name):
             sizes = {key: size for key, size in effect.values.items() if key in ("torque", "voltage", "gap", "mass")}
             spans = {key: record.mechanism.plausible(effect.kind.parameter(key), record.driven[0]) for key in sizes}
             assert all(span[0] <= abs(sizes[key]) <= span[1] for key, span in spans.items())
-    # without a rotor of its own a joint has no transmission, and elasticity begins at 10 N.m/rad
-    unable = {"slide": {"backlash", "joint_elasticity"}, "qube_pendulum": {"joint_elasticity"}}
-    assert refused <= unable.get(name, set())
+    # without a rotor of its own a joint has no transmission
+    assert refused <= ({"backlash", "joint_elasticity"} if name == "slide" else set())
 
 
 def test_true_parameters_are_within_their_priors():

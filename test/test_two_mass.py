@@ -245,7 +245,7 @@ def test_a_run_starts_without_a_swing():
             "bejczy",
             "backlash of joint 2: motor_share 0.5 and 0.7; expected the same",
         ),
-        (["joint_elasticity:joint=1,stiffness=1"], "bejczy", "stiffness=1; expected 10 to 1e"),
+        (["joint_elasticity:joint=1,stiffness=1e-4"], "bejczy", "stiffness=0.0001; expected 0.001 to 1e"),
         (["backlash:joint=1"], "bejczy", "'gap' is missing"),
     ],
 )

@@ -101,11 +101,9 @@ EFFECT = Kind(
             steps=1.0,
         ),
         Parameter(
-            "stiffness", "N.m/rad", 100.0, 1e7, "K of the teeth in contact", RATE, default=_STIFFNESS, prior=(5e5, 2.5)
+            "stiffness", "N.m/rad", 1e-2, 1e7, "K of the teeth in contact", RATE, default=_STIFFNESS, prior=(5e5, 2.5)
         ),
-        Parameter(
-            "damping", "N.m.s/rad", 0.0, 5000.0, "B of the teeth in contact", default=_DAMPING, prior=(150.0, 2.5)
-        ),
+        Parameter("damping", "N.m.s/rad", 0.0, 1e5, "B of the teeth in contact", default=_DAMPING, prior=(150.0, 2.5)),
         MOTOR_SHARE,
     ),
     train=lambda v: Train((v["stiffness"], v["damping"]), v["gap"], v["motor_share"]),

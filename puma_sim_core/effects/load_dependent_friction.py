@@ -9,8 +9,11 @@ from puma_sim_core.effects.shared.columns import candidate, is_arm, motor_torque
 from puma_sim_core.effects.shared.dry_friction import direction_of
 from puma_sim_core.jit import Table, inlined
 
-#: greatest share of the load that a gear takes
+#: greatest share of the load that a gear takes on an arm
 _GREATEST_COEFFICIENT = 0.5
+#: greatest share that is usual. Of a drive with an efficiency e it is 1 - e, and twice this is that of the least one in
+#: use, a worm of 2 degrees of lead: e = tan(lead) / tan(lead + friction angle) = 0.3 with a coefficient of 0.08
+_USUAL_LOSS = 0.35
 #: least share of its torque that a gear passes on when it drives; with less it would block
 _LEAST_SHARE = 0.02
 
@@ -77,7 +80,7 @@ EFFECT = Kind(
     "pose (a = 0), the torque of the motor (a = 1), or a mean of the two, such as what the teeth bear "
     "(a = D/(D + Ia), the share of the links in the inertia).",
     parameters=(
-        Parameter("coefficient", "1", 0.0, 1.0, "mu, of the load", SIZE, (0.02, 0.3)),
+        Parameter("coefficient", "1", 0.0, 1.0, "mu, of the load", SIZE, (0.02, _USUAL_LOSS)),
         Parameter(
             "transmitted",
             "1",

@@ -72,7 +72,7 @@ EFFECT = Kind(
     "slides, with a hysteresis loop at each reversal.",
     parameters=(
         Parameter(
-            "stiffness", "N.m/rad", 1.0, 1e6, "sigma0", RATE, (1e3, 1e6), default=2e4, prior=STIFFNESS, inverse=True
+            "stiffness", "N.m/rad", 1e-4, 1e6, "sigma0", RATE, (1e3, 1e6), default=2e4, prior=STIFFNESS, inverse=True
         ),
         level_parameter("torque", "sliding level, added to the joint's other dry friction", default=0.0),
     ),
