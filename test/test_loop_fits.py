@@ -19,6 +19,7 @@ from puma_sim_core.identify.fitting.intervals import deviations, intervals
 from puma_sim_core.identify.fitting.point import Point
 from puma_sim_core.identify.fitting.prediction import PredictionFit, Slopes, bounded_step
 from puma_sim_core.identify.fitting.resolution import unresolved
+from puma_sim_core.identify.fitting.trial import IMPOSSIBLE
 from puma_sim_core.identify.fitting.trials import Base, Trials
 from puma_sim_core.identify.prepare import runnable
 from puma_sim_core.identify.screening.evidence import Scored
@@ -126,21 +127,19 @@ def test_a_bounded_step_is_the_least_that_its_bounds_allow(seed):
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.2])
 def test_a_stop_has_the_damping_that_the_log_shows(share):
     """Without it each bounce ends in a push that nothing explains. share : of the critical damping."""
-    plain, place, stiffness = PENDULUM.plant(), HIGHEST - 0.1, 5.0
-    signals = pieces(PENDULUM, record(PENDULUM, plain), NOISE, 1e-5)[0].signals(PENDULUM.start)
+    place, stiffness = HIGHEST - 0.1, 5.0
+    signals = pieces(PENDULUM, record(PENDULUM, PENDULUM.plant()), NOISE, 1e-5)[0].signals(PENDULUM.start)
     inertia = float(signals.link_inertia[:, 0].mean() + signals.motor_inertia[0])
     asked = {"lower": -9.0, "upper": place, "stiffness": stiffness}
     true = Effect(KINDS["soft_stop"], 1, {**asked, "damping": 2.0 * share * float(np.sqrt(stiffness * inertia))})
     base, trials, _ = lacking(true)
     stops = KINDS["soft_stop"].screening.candidates(trials.problem.signals(PENDULUM.start), 0)
     near = min((c for c in stops if "upper" in c.grid), key=lambda c: abs(c.grid["upper"] - place))
-    screened = near.values(np.array([stiffness]))
-    trial = trials.run(base, Scored("soft_stop", 1, 0.0, values=screened, occam=3.0), again=True)
+    scored = Scored("soft_stop", 1, 0.0, values=near.values(np.array([stiffness])), occam=3.0)
+    trial = trials.run(base, scored, again=True)
     ends, _ = base.fit.to_end(trial.model.point, trials.free(trial.model.point), patient=True)
-    found, best = (
-        ends.point.effects[0].values,
-        base.fit.to_end(Point(PENDULUM.start, (true,)), trials.free(ends.point))[0],
-    )
+    best, _ = base.fit.to_end(Point(PENDULUM.start, (true,)), trials.free(ends.point))
+    found = ends.point.effects[0].values
     assert ends.objective < best.objective + 1.0
     critical = 2.0 * np.sqrt(found["stiffness"] * inertia)
     assert found["damping"] / critical == pytest.approx(share, abs=0.01), found
@@ -219,6 +218,16 @@ def test_what_gains_less_than_the_screening_saw_starts_from_there_too(gain):
     behind = (*(unseen,) * SELECTION.most_polished, seen)
     *_, again = Refits(trials, KINDS).from_nominal(replace(state, trials=(*others, *behind))).trials
     assert again.effect.values["current"] == pytest.approx(0.6, rel=0.01)
+
+
+def test_a_limit_that_ran_away_starts_from_there_too():
+    """Seen on a simulated arm whose drive is held by its limit in nearly all rows: about parameters that the limit had
+    stretched it came out at 239 A, and the log was called a fault."""
+    trials, state, stuck = stretched_away()
+    others = (replace(stuck, gain=50.0),) * SELECTION.most_polished
+    away = replace(stuck, gain=-1000.0, problem=f"{IMPOSSIBLE}: current 239 A")
+    *_, again = Refits(trials, KINDS).from_nominal(replace(state, trials=(*others, away))).trials
+    assert again.effect.values["current"] == pytest.approx(0.6, rel=0.01) and again.problem is None
 
 
 def test_a_trial_worse_than_the_model_without_it_starts_from_that_model():

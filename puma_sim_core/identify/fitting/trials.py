@@ -94,10 +94,10 @@ class Trials:
             starts = [Point(self.mechanism.start, start.effects)]
             if compensated is not None:
                 starts.append(compensated if fitted is None else fitted.point)
-            if fitted is not None and _fixed(scored):
+            if fitted is not None and fixed(scored):
                 # a limit that fits best with the parameters as they are may not be where it is
                 starts += [fitted.point, Point(self.mechanism.start, screened.effects)]
-            fitted = _lowest(fitted, *self._relinearised(base, free, starts, not _fixed(scored)))
+            fitted = _lowest(fitted, *self._relinearised(base, free, starts, not fixed(scored)))
         if fitted is None:
             return Trial(scored, 0.0, 0.0, None, occam.screened(scored), _NOT_FINITE)
         return self.judged(base.fit, base.model, scored, fitted)
@@ -127,7 +127,7 @@ class Trials:
 
     def _compensated(self, base: Base, scored: Scored) -> Point | None:
         """The model with an effect as screened, and parameters that answer to it by slopes: they may look alike."""
-        if scored.best is None or _fixed(scored) or KINDS[scored.name].two_masses:
+        if scored.best is None or fixed(scored) or KINDS[scored.name].two_masses:
             return None
         coefficients, values = scored.best.coefficients, scored.best.entry.candidate.values
         try:
@@ -206,7 +206,7 @@ class Trials:
         A missing effect may have stretched the parameters that the screening took it by. One mass is quick enough to
         try the sizes that machines have, at these parameters and at the nominal ones.
         """
-        if not _fixed(scored):
+        if not fixed(scored):
             return screened
         number, name = len(screened.effects) - 1, next(iter(scored.values or ()))
         value, sizes = screened.effects[-1].values[name], list[float]()
@@ -232,7 +232,7 @@ class Trials:
     def sized(self, point: Point, scored: Scored) -> list[Point]:
         """A model, and it with the last effect in all sizes that machines have, where no slope shows them."""
         found, number = [point], len(point.effects) - 1
-        if _fixed(scored):
+        if fixed(scored):
             name = next(iter(scored.values or ()))
             changed = (with_value(point.effects, number, name, v) for v in self._sizes(point.effects[number], name))
             found += [Point(point.theta, effects) for effects in changed if effects is not None]
@@ -353,7 +353,7 @@ def _places(kind: Kind) -> list[tuple[str, float, float]]:
     return [each for each in kind.plausible if kind.parameter(each[0]).role is Role.PLACE]
 
 
-def _fixed(scored: Scored) -> bool:
+def fixed(scored: Scored) -> bool:
     """Whether a hypothesis has no coefficients: its values are those of a grid, or it is tried without a screening."""
     return unseen(scored) if scored.best is None else scored.best.entry.candidate.fixed
 

@@ -16,7 +16,7 @@ from puma_sim_core.errors import ParameterError
 from puma_sim_core.identify.fitting.point import Point, bounded
 from puma_sim_core.identify.fitting.prediction import Fitted, PredictionFit
 from puma_sim_core.identify.fitting.trial import Trial
-from puma_sim_core.identify.fitting.trials import Trials, unseen
+from puma_sim_core.identify.fitting.trials import Trials, fixed
 from puma_sim_core.identify.parallel import parallel_map
 from puma_sim_core.identify.selection.state import SelectionState
 from puma_sim_core.identify.settings import FITTING, SELECTION
@@ -89,9 +89,9 @@ class Refits:
 
         So do those of which the screening saw most, of the trials that gain less than it saw: the best by their gain
         may all be the model without their effect at other parameters, and no fit about stretched ones keeps what is
-        seen of an effect that these took up. And so do those without a screening, such as a limit, that fit better than
-        none at the nominal parameters, and those that would be the best but for values that no machine has: about
-        stretched parameters a fit may run away.
+        seen of an effect that these took up. And so do those whose values no slope leads to, such as limits, that fit
+        better than none at the nominal parameters, and those that would be the best but for values that no machine has:
+        about stretched parameters a fit may run away.
         """
         if not state.model.point.stretched(self.predictor.mechanism):
             return state
@@ -102,7 +102,7 @@ class Refits:
         behind = (t for t in possible if t not in best and t.gain < t.scored.gain > seen)
         best += sorted(behind, key=lambda t: -t.scored.gain)[: SELECTION.most_polished]
         fit, start = PredictionFit(self.predictor, state.noise), self.predictor.mechanism.start
-        best += self._seen_at_nominal(fit, [t for t in possible if t not in best])
+        best += self._seen_at_nominal(fit, [t for t in state.trials if t.fitted is not None and t not in best])
 
         def again(trial: Trial) -> Trial:
             # derivatives of two masses take long
@@ -122,10 +122,11 @@ class Refits:
         return _with_trials(state, again)
 
     def _seen_at_nominal(self, fit: PredictionFit, trials: list[Trial]) -> list[Trial]:
-        """Of trials that no screening saw, the best of those that fit better than none at the nominal parameters."""
+        """Of trials that no screening saw, or whose values no slope leads to, such as limits that ran away, the best of
+        those that fit better than none at the nominal parameters."""
         start, found = self.predictor.mechanism.start, list[tuple[float, Trial]]()
         # derivatives of two masses take long
-        tried = [t for t in trials if unseen(t.scored) and not t.model.point.two_mass]
+        tried = [t for t in trials if fixed(t.scored) and not t.model.point.two_mass]
         none = fit.lowest_of(Point(start, t.model.point.effects[:-1]) for t in tried[:1])
         for trial in tried:
             best = fit.lowest_of(self.trials.sized(Point(start, trial.model.point.effects), trial.scored))
