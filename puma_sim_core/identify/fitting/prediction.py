@@ -145,9 +145,9 @@ class PredictionFit:
         median, one = prior[0], 1.0 / float(np.log(prior[1]))
         return one * float(np.log(max(effect.values[name], FITTING.prior_floor * median) / median)), one
 
-    def derivatives(self, point: Point, pairs: Pairs, near: Floats | None = None) -> Floats:
+    def derivatives(self, point: Point, pairs: Pairs, near: Floats | None = None, central: bool = False) -> Floats:
         """(N, J, p + c) `Running.derivatives`, before whitening."""
-        return self.running.derivatives(point, pairs, near)
+        return self.running.derivatives(point, pairs, near, central)
 
     def whitened(self, derivatives: Floats) -> Floats:
         """(N', p) derivatives after whitening, at the rows to fit, of those before it (N, J, p)."""
@@ -234,6 +234,21 @@ class PredictionFit:
             if fell < gain or (number >= times and fell < FITTING.falling * before):
                 break
         return fitted, raw
+
+    def to_last(self, point: Point, pairs: Pairs) -> tuple[Fitted, Floats]:
+        """The last fit of a model, whose numbers are reported, and derivatives (N, J, p + c) about it.
+
+        Coarse steps see farther where dry friction holds a joint; central ones know along what the log tells nothing.
+        With two masses they would take too long. Raises ParameterError as `to_end`.
+        """
+        gain, times = FITTING.finished_final, FITTING.relinearisations_final
+        fitted, _ = self.to_end(point, pairs, gain=gain, times=times)
+        for _ in range(0 if point.two_mass else times):
+            moved = self.linear(fitted.point, pairs, self.derivatives(fitted.point, pairs, central=True))
+            if fitted.objective - moved.objective < gain:
+                break
+            fitted = moved
+        return fitted, self.derivatives(fitted.point, pairs, central=not point.two_mass)
 
     def linear(self, point: Point, pairs: Pairs, raw: Floats, *, rounds: int = FITTING.rounds) -> Fitted:
         """Fit with derivatives before whitening (N, J, p + c) that stay as they are, from a model or from the start

@@ -48,35 +48,46 @@ class Running:
             for n, plant in enumerate(plants)
         ]
 
-    def derivatives(self, point: Point, pairs: Pairs, near: Floats | None = None) -> Floats:
+    def derivatives(self, point: Point, pairs: Pairs, near: Floats | None = None, central: bool = False) -> Floats:
         """(N, J, p + c) derivatives of the innovations, by the mechanism's parameters per standard deviation, and by
         parameters of effects per size (`size_of`). Read-only: they are cached.
 
-        near : those about a model near by; a two-mass model takes its derivatives by the mechanism's parameters over.
+        near : those about a model near by; a two-mass model takes its derivatives by the mechanism's parameters over;
+        central : by small steps to both sides, whose error is of second order.
         Raises ParameterError where the model cannot be run along the log.
         """
         if near is not None and point.two_mass:
             return np.concatenate([near[:, :, : len(point.theta)], self.by_effects(point, pairs)], axis=2)
-        return self.predictor.derived((point.key, tuple(pairs)), lambda: self._derived(point, pairs))
+        return self.predictor.derived(
+            (point.key, tuple(pairs), central), lambda: self._derived(point, pairs, central=central)
+        )
 
     def by_effects(self, point: Point, pairs: Pairs) -> Floats:
         """(N, J, c) derivatives by parameters of effects per size. Raises ParameterError as `derivatives`."""
-        return self._differences(point, [], pairs)
+        return self._differences(point, [], pairs, FITTING.effect_difference)
 
-    def _derived(self, point: Point, pairs: Pairs) -> Floats:
-        steps = np.diag(FITTING.difference * self.mechanism.deviations)
-        return self._differences(point, [Point(point.theta + step, point.effects) for step in steps], pairs)
+    def _derived(self, point: Point, pairs: Pairs, central: bool) -> Floats:
+        share = FITTING.central_difference if central else FITTING.difference
+        sides = (share, -share) if central else (share,)
+        steps = np.diag(self.mechanism.deviations)
+        moved = [[(Point(point.theta + side * step, point.effects), side) for step in steps] for side in sides]
+        if not central:
+            return self._differences(point, moved[0], pairs, FITTING.effect_difference)
+        ahead, behind = (self._differences(point, to, pairs, side) for to, side in zip(moved, sides))
+        return 0.5 * (ahead + behind)
 
-    def _differences(self, point: Point, moved: Sequence[Point], pairs: Pairs) -> Floats:
-        """(N, J, p + c) differences between models with other parameters, then with other effects, and one near them;
-        0.0 for those that cannot be run."""
-        to: list[tuple[Point | None, float]] = [(other, FITTING.difference) for other in moved]
-        to += [self._further(point, pair, FITTING.effect_difference) for pair in pairs]
+    def _differences(
+        self, point: Point, moved: Sequence[tuple[Point, float]], pairs: Pairs, effect_share: float
+    ) -> Floats:
+        """(N, J, p + c) differences between models with other parameters, each with its share, then with other effects,
+        and one near them, over the shares; 0.0 for those that cannot be run."""
+        to: list[tuple[Point | None, float]] = [*moved]
+        to += [self._further(point, pair, effect_share) for pair in pairs]
         found = self._differences_to(point, to)
         # the other way where the first one is out of bounds
         again = [k for k, column in enumerate(found) if column is None and k >= len(moved)]
         if again:
-            back = [self._further(point, pairs[k - len(moved)], -FITTING.effect_difference) for k in again]
+            back = [self._further(point, pairs[k - len(moved)], -effect_share) for k in again]
             for k, column in zip(again, self._differences_to(point, back)):
                 found[k] = column
         out = np.zeros((sum(self.predictor.lengths), self.mechanism.joints, len(found)))

@@ -38,7 +38,7 @@ from puma_sim_core.identify.selection.noise_choice import (
 )
 from puma_sim_core.identify.selection.refits import Refits
 from puma_sim_core.identify.selection.state import Chosen, SelectionState, Stage, Threshold
-from puma_sim_core.identify.settings import FITTING, SELECTION
+from puma_sim_core.identify.settings import SELECTION
 
 #: one step of the selection
 Pass = Callable[[SelectionState], SelectionState]
@@ -271,14 +271,10 @@ class Selection:
         state = state.numbered
         fit, point = PredictionFit(self.predictor, state.noise), state.model.point
         pairs = self.trials.free(point)
-        gain, times = FITTING.finished_final, FITTING.relinearisations_final
-        model, _ = fit.to_end(point, pairs, gain=gain, times=times)
-        jacobian = fit.derivatives(model.point, pairs)
-        whitened = fit.whitened(jacobian)
-        model = replace(model, jacobian=whitened)
-        retuned = model
+        model, jacobian = fit.to_last(point, pairs)
+        model, retuned = replace(model, jacobian=fit.whitened(jacobian)), model
         if state.chosen and state.retuned is not None:
-            retuned, _ = fit.to_end(state.retuned.point, (), gain=gain, times=times)
+            retuned, _ = fit.to_last(state.retuned.point, ())
         return replace(state, model=model, jacobian=jacobian, retuned=retuned, trials=())
 
     def withdraw(self, state: SelectionState) -> SelectionState:

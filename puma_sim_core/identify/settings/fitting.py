@@ -66,7 +66,12 @@ class Fitting:
     least_median_share: float = 0.3  #: of the standard deviation of row-to-row changes: a coarse encoder's median is 0
 
     # --- Gauss and Newton (`prediction`)
-    difference: float = 0.05  #: finite difference, in standard deviations of a mechanism's parameter
+    #: finite difference, in standard deviations of a mechanism's parameter: over 0.05 the innovations of a log may bend
+    #: so much that a fit stays on a ridge, 6 nat from its end (`test_loop_ridges`)
+    difference: float = 1e-3
+    #: of both sides, in deviations and in sizes of an effect's parameter: its error is a millionth of what the third
+    #: derivative makes of a deviation, and that of rounding, 1e-16 over it, is less
+    central_difference: float = 1e-3
     whitened_together: int = 8  #: derivatives that are whitened at once: one group of vector registers
     effect_difference: float = 0.01  #: in sizes of an effect's parameter
     #: shares of the way from the start values to the retuned ones that are tried until the logs can be predicted
