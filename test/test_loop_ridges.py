@@ -66,6 +66,17 @@ def test_derivatives_along_it_are_next_to_none(fitted):
     assert left < 0.01 * parts.max()
 
 
+def test_at_the_end_of_a_range_central_derivatives_are_those_to_the_other_side(fitted):
+    fit, free, best = fitted
+    viscous = NAMES.index("viscous_friction")
+    theta = best.point.theta.copy()
+    # the least that the mechanism may have: a step below it changes nothing
+    theta[viscous] = MACHINE.clip(np.where(np.arange(len(theta)) == viscous, 0.0, theta))[viscous]
+    at = Point(theta, best.point.effects)
+    ahead, central = (fit.derivatives(at, free, central=central)[:, :, viscous] for central in (False, True))
+    assert np.linalg.norm(central - ahead) < 0.01 * np.linalg.norm(ahead) and np.linalg.norm(ahead) > 0.0
+
+
 @pytest.mark.parametrize("share", [0.55, 1.7])
 def test_a_fit_goes_along_it_to_where_the_priors_lead(fitted, share):
     """Seen on this log: a fit ended with half of all torques, 6 nat from its end, and gave the friction to 2 %."""

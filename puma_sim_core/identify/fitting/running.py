@@ -74,7 +74,9 @@ class Running:
         if not central:
             return self._differences(point, moved[0], pairs, FITTING.effect_difference)
         ahead, behind = (self._differences(point, to, pairs, side) for to, side in zip(moved, sides))
-        return 0.5 * (ahead + behind)
+        # a model that cannot be run to one side has the difference to the other
+        both = ahead.any(axis=(0, 1)) & behind.any(axis=(0, 1))
+        return np.where(both, 0.5, 1.0) * (ahead + behind)
 
     def _differences(
         self, point: Point, moved: Sequence[tuple[Point, float]], pairs: Pairs, effect_share: float
