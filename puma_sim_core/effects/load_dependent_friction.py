@@ -11,8 +11,8 @@ from puma_sim_core.jit import Table, inlined
 
 #: greatest share of the load that a gear takes on an arm
 _GREATEST_COEFFICIENT = 0.5
-#: greatest share that is usual. Of a drive with an efficiency e it is 1 - e, and twice this is that of the least one in
-#: use, a worm of 2 degrees of lead: e = tan(lead) / tan(lead + friction angle) = 0.3 with a coefficient of 0.08
+#: greatest share that is usual. Of a drive with an efficiency e it is 1 - e; twice this, the greatest that is named, is
+#: that of a worm of 2 degrees of lead: e = tan(lead) / tan(lead + friction angle) = 0.3 with a coefficient of 0.08
 _USUAL_LOSS = 0.35
 #: least share of its torque that a gear passes on when it drives; with less it would block
 _LEAST_SHARE = 0.02

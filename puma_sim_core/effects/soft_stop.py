@@ -16,8 +16,8 @@ from puma_sim_core.jit import Table, inlined
 _DEPTHS = np.geomspace(0.0012, 1.1, 24)
 #: counts of the encoder that a stop must be pressed in to be seen at all, and samples in it that show it
 _COUNTS, _SAMPLES = 5.0, 20
-#: share of critical damping that a fit starts from: rubber has 2 to 15 % of it, steel less. From none it would have to
-#: start without a scale
+#: share of critical damping that a fit starts from, since none has no scale; fits from it end at none, at 2 and at 20 %
+#: alike (`test_loop_fits`)
 _DAMPED = 0.05
 #: deflection of a stop
 _PRESSED = {"upper": np.maximum, "lower": np.minimum}

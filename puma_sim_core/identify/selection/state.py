@@ -98,9 +98,9 @@ class Stage:
         moved = gain - next(t.gain for t in self.trials if t.key == key)
 
         def now(trial: Trial) -> Trial:
-            more, fitted = fits.get(trial.key, (None, None))
-            if more is None or fitted is None:
+            if trial.key not in fits:
                 return replace(trial, gain=trial.gain + moved)
+            more, fitted = fits[trial.key]
             return replace(trial, gain=gain + more, fitted=replace(fitted, jacobian=None))
 
         trials = tuple(sorted(map(now, self.trials), key=lambda t: -t.gain))
