@@ -6,9 +6,12 @@ from __future__ import annotations
 from loop_logs import pieces, record
 
 from puma_sim_core.effects import parse_effect
+from puma_sim_core.identify.data.machine_log import read_for, with_volts
 from puma_sim_core.identify.fitting.point import Point
 from puma_sim_core.identify.fitting.prediction import PredictionFit
 from puma_sim_core.identify.fitting.trials import Base, Trials
+from puma_sim_core.identify.noise import innovations
+from puma_sim_core.identify.prepare import prepare
 from puma_sim_core.identify.screening.evidence import Scored
 from puma_sim_core.identify.selection.state import SelectionState
 from puma_sim_core.plant.mechanism_file import load_mechanism
@@ -34,3 +37,13 @@ def tried(base, trials, text):
     effect = parse_effect(text)
     scored = Scored(effect.kind.name, 1, 0.0, values=dict(effect.values))
     return trials.run(base, scored, Point(PENDULUM.start, (effect,)))
+
+
+def of_machine(record, folder):
+    """The fit of a simulated log of another machine with the noise of the true model, its trials, and that model."""
+    mechanism = record.mechanism
+    prepared = prepare([with_volts(read_for(mechanism, str(record.write(folder))), mechanism)], mechanism)
+    true = Point(mechanism.clip(record.theta), record.effects)
+    raw = prepared.predictor.errors(true.plant(mechanism))
+    fit = PredictionFit(prepared.predictor, innovations.weighting(prepared.predictor, raw))
+    return fit, Trials(prepared.predictor, prepared.problem), true

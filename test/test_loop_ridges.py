@@ -7,16 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from loop_fits import of_machine
 from machines.records import Record
 
 from puma_sim_core.effects import Effect, parse_effect
-from puma_sim_core.identify.data.machine_log import read_for, with_volts
 from puma_sim_core.identify.fitting.intervals import intervals
 from puma_sim_core.identify.fitting.point import Point
-from puma_sim_core.identify.fitting.prediction import PredictionFit
-from puma_sim_core.identify.fitting.trials import Trials
-from puma_sim_core.identify.noise import innovations
-from puma_sim_core.identify.prepare import prepare
 
 pytestmark = pytest.mark.long
 RECORD = Record(5, "dfki_pendulum")
@@ -39,12 +35,8 @@ def in_proportion(point, share):
 def fitted(tmp_path_factory):
     """A fit to a log with dry friction and a push, the pairs that are free, and the model fitted from the truth."""
     RECORD.effects = tuple(map(parse_effect, TEXTS))
-    log = with_volts(read_for(MACHINE, str(RECORD.write(tmp_path_factory.mktemp("log")))), MACHINE)
-    prepared = prepare([log], MACHINE)
-    true = Point(MACHINE.clip(RECORD.theta), RECORD.effects)
-    raw = prepared.predictor.errors(true.plant(MACHINE))
-    fit = PredictionFit(prepared.predictor, innovations.weighting(prepared.predictor, raw))
-    free = Trials(prepared.predictor, prepared.problem).free(true)
+    fit, trials, true = of_machine(RECORD, tmp_path_factory.mktemp("log"))
+    free = trials.free(true)
     return fit, free, fit.to_last(true, free)[0]
 
 

@@ -204,16 +204,19 @@ class Trials:
         """The screened model, its threshold or stiffness the one that fits best of a few: no slope shows it.
 
         A missing effect may have stretched the parameters that the screening took it by. One mass is quick enough to
-        try the sizes that machines have, at these parameters and at the nominal ones.
+        try the sizes that machines have, at these parameters and at the nominal ones; of two masses those with a softer
+        spring than the screened one, which take no longer than it.
         """
         if not fixed(scored):
             return screened
         number, name = len(screened.effects) - 1, next(iter(scored.values or ()))
-        value, sizes = screened.effects[-1].values[name], list[float]()
+        value = screened.effects[-1].values[name]
         starts = [(screened.theta, share * value) for share in FITTING.threshold_starts]
+        sizes = self._sizes(screened.effects[-1], name)
         if not screened.two_mass:
-            sizes = self._sizes(screened.effects[-1], name)
             starts += [(theta, size) for theta in (screened.theta, self.mechanism.start) for size in sizes]
+        elif KINDS[scored.name].two_masses and KINDS[scored.name].parameter(name).inverse:
+            starts += [(screened.theta, size) for size in sizes if size < starts[0][1]]
         found = fit.lowest_of(_of_value(screened, number, name, starts))
         if found is None:
             return screened
@@ -221,7 +224,7 @@ class Trials:
         most = max(size for _, size in starts)
         # the best of them may be the greatest: then it lies beyond, as far as a machine may have it
         ratio = FITTING.threshold_starts[-1] / FITTING.threshold_starts[-2]
-        farthest = FITTING.above_plausible * max(self._sizes(screened.effects[-1], name), default=0.0)
+        farthest = FITTING.above_plausible * max(sizes, default=0.0)
         while size >= most and (most := ratio * most) <= farthest:
             further = fit.lowest_of(_of_value(screened, number, name, [(found[0].theta, most)]))
             if further is None or further[1] >= found[1]:
