@@ -423,6 +423,14 @@ def test_a_zero_that_no_sensor_has_is_a_fault_of_the_data(gain, rival, problem, 
     assert all("offset by about 0.9 rad" in f.what for f in faults)
 
 
+def test_where_an_effect_that_no_machine_has_fits_better_a_zero_is_not_what_is_wrong():
+    beyond = "more than any machine has"
+    for gain, found in ((110.0, 1), (130.0, 0)):
+        other = replace(trial(A, gain), problem=beyond)
+        stage = Stage((offset(120.0, 0.9, beyond), other), Threshold.alike(15.0), None)
+        assert len(wrong_zeros([stage])) == found
+
+
 def test_a_spring_is_contained_in_a_stop():
     assert "joint_spring" in KINDS["soft_stop"].contains
 

@@ -8,15 +8,21 @@ larger than one can be.
 
 from collections.abc import Iterable
 
+from puma_sim_core.effects import KINDS
 from puma_sim_core.identify.result import Fault
 from puma_sim_core.identify.selection.state import Stage
 from puma_sim_core.identify.settings import CHECKS
 
 
 def wrong_zeros(stages: Iterable[Stage]) -> list[Fault]:
-    """Faults of positions by the stages of a selection, those of the first stage that has any."""
+    """Faults of positions by the stages of a selection, those of the first stage that has any.
+
+    Where an effect that no machine has fits better still, an offset is not what is wrong: of a voltage that has nothing
+    to do with the motion some offset leaves less, too.
+    """
     for stage in stages:
         best = max((t.gain for t in stage.trials if t.problem is None), default=0.0)
+        most = max((t.gain for t in stage.trials if not KINDS[t.name].shifts_zero), default=0.0)
         found = [
             Fault.of(
                 f"position{t.joint}",
@@ -27,8 +33,9 @@ def wrong_zeros(stages: Iterable[Stage]) -> list[Fault]:
             for t in stage.trials
             if t.fitted is not None
             and t.problem is not None
-            and t.effect.kind.shifts_zero
+            and KINDS[t.name].shifts_zero
             and t.gain > max(best, stage.threshold.of(t.key)) + CHECKS.zero_clearer
+            and t.gain > most
         ]
         if found:
             return found
