@@ -12,6 +12,7 @@ from puma_sim_core.identify.fitting.prediction import PredictionFit
 from puma_sim_core.identify.fitting.trials import Base, Trials
 from puma_sim_core.identify.noise import innovations
 from puma_sim_core.identify.prepare import prepare
+from puma_sim_core.identify.screening.causal import CausalScreen
 from puma_sim_core.identify.screening.evidence import Scored
 from puma_sim_core.identify.selection.state import SelectionState
 from puma_sim_core.plant.mechanism_file import load_mechanism
@@ -47,3 +48,9 @@ def of_machine(record, folder):
     raw = prepared.predictor.errors(true.plant(mechanism))
     fit = PredictionFit(prepared.predictor, innovations.weighting(prepared.predictor, raw))
     return fit, Trials(prepared.predictor, prepared.problem), true
+
+
+def screen_of(fit, trials, model):
+    """The screening of the innovations of a fitted model."""
+    jacobian = fit.whitened(fit.derivatives(model.point, model.names))
+    return CausalScreen(fit, model.point, model.errors, jacobian, trials.problem)

@@ -8,8 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from loop_fits import PENDULUM, lacking, of_machine
-from machines.records import Record
+from loop_fits import PENDULUM, lacking
 
 from puma_sim_core.effects import KINDS, Effect, parse_effect
 from puma_sim_core.identify.fitting.point import Point
@@ -211,15 +210,3 @@ def test_a_start_about_which_the_model_cannot_be_run_is_none():
     nowhere = Point(base.model.point.theta, (parse_effect("joint_elasticity:joint=1,stiffness=1000,damping=1000"),))
     assert base.fit.errors(nowhere) is None
     assert Refits(trials, KINDS)._better(state, found, nowhere, found.model.point) is found
-
-
-def test_a_spring_far_softer_than_the_screened_one_is_found(tmp_path):
-    """The stiffest one of the screening, 45 Hz, fits better than none; slopes lead from there to one in between."""
-    record = Record(5, "dfki_pendulum")
-    record.effects = (parse_effect("joint_elasticity:joint=1,stiffness=220,damping=0.1"),)
-    fit, trials, true = of_machine(record, tmp_path)
-    model, jacobian = fit.to_end(Point(true.theta, ()), ())
-    base = trials.base(model, fit.weighting, jacobian)
-    for stiffness in (220.0, 10e3):
-        scored = Scored("joint_elasticity", 1, 0.0, values={"stiffness": stiffness, "damping": 0.0})
-        assert trials.run(base, scored).effect.values["stiffness"] == pytest.approx(220.0, rel=0.2)

@@ -24,18 +24,35 @@ _LEAST_DAMPING = 0.8
 @when_moving
 def backlash(signals: Signals, joint: int) -> list[Candidate]:
     """Torque through teeth with backlash less that through a rigid joint, with coefficient 1, for a grid of the gap."""
-    contact = {"stiffness": _STIFFNESS, "damping": _DAMPING}
-    if not is_arm(signals):
-        inertia = float(link_side(signals, joint)[0].mean())
-        stiffness = float(inertia * (2.0 * np.pi * 60.0) ** 2)
-        contact = {"stiffness": stiffness, "damping": float(0.3 * float(np.sqrt(stiffness * inertia)))}
+    contact = _contact(signals, joint)
+    return visible(_candidate([_cost(signals, joint, gap, **contact)], gap, contact) for gap in _gaps(signals, joint))
 
-    def at(gap: float) -> Candidate:
-        column = _cost(signals, joint, gap, **contact)
-        grid = {"gap": gap}
-        return candidate([column], [1.0], [0.15], lambda c, **grid: grid | contact, grid, VOLTAGE_COLUMN, fixed=True)
 
-    return visible(map(at, (_GAPS * of_travel(signals, joint)).tolist()))
+@when_moving
+def runs(signals: Signals, joint: int) -> list[Candidate]:
+    """Candidates of the same grid, without columns."""
+    contact = _contact(signals, joint)
+    return [_candidate([], gap, contact) for gap in _gaps(signals, joint)]
+
+
+def _gaps(signals: Signals, joint: int) -> list[float]:
+    """Gaps [rad] of the grid."""
+    found: list[float] = (_GAPS * of_travel(signals, joint)).tolist()
+    return found
+
+
+def _contact(signals: Signals, joint: int) -> dict[str, float]:
+    """Stiffness and damping of teeth in contact: of the arm's, or of a link that swings against them at 60 Hz."""
+    if is_arm(signals):
+        return {"stiffness": _STIFFNESS, "damping": _DAMPING}
+    inertia = float(link_side(signals, joint)[0].mean())
+    stiffness = float(inertia * (2.0 * np.pi * 60.0) ** 2)
+    return {"stiffness": stiffness, "damping": float(0.3 * float(np.sqrt(stiffness * inertia)))}
+
+
+def _candidate(columns: list[ByJoint], gap: float, contact: dict[str, float]) -> Candidate:
+    grid = {"gap": gap}
+    return candidate(columns, [1.0], [0.15], lambda c, **grid: grid | contact, grid, VOLTAGE_COLUMN, fixed=True)
 
 
 def _cost(signals: Signals, joint: int, gap: float, stiffness: float, damping: float) -> ByJoint:
@@ -115,6 +132,7 @@ EFFECT = Kind(
         "Changes of sign of the torque at the link: bang-bang on joint 1, upright or hanging links on joints 2 and 3.",
         unseen=(("gap", 2e-4), ("stiffness", 5e5), ("damping", 150.0)),
         fast=True,
+        runs=runs,
     ),
     drawn_against=("link_torque", "torque"),
     example="backlash:joint=2,gap=0.001",

@@ -12,6 +12,8 @@ from puma_sim_core.jit import Table, Vec, compiled
 #: shares of critical damping, with frequencies [Hz] of the link against a locked rotor. Real drives are damped less,
 #: but then noise rings in the simulated link, and its phase is lost unless the frequency is known to a percent
 _RESONANCES = ((0.05, np.geomspace(3.0, 45.0, 28)), (0.15, np.geomspace(3.0, 45.0, 16)))
+#: and that are run in the model
+_RUN = (0.05, np.geomspace(3.0, 45.0, 10))
 #: stiffnesses of the arm's drives [N.m/rad], beyond the library's on both sides
 _STIFFNESSES = (2e3, 1.2e5)
 
@@ -20,17 +22,29 @@ _STIFFNESSES = (2e3, 1.2e5)
 def elasticity(signals: Signals, joint: int) -> list[Candidate]:
     """Torque through an elastic shaft less that through a rigid one, with coefficient 1, for a grid of the link's
     frequency and of the damping."""
+    shafts = (_shaft(signals, joint, share, f) for share, frequencies in _RESONANCES for f in frequencies)
+    return [_candidate([_cost(signals, joint, **shaft)], shaft) for shaft in shafts if shaft is not None]
+
+
+@when_moving
+def runs(signals: Signals, joint: int) -> list[Candidate]:
+    """Candidates of a coarser grid, without columns."""
+    share, frequencies = _RUN
+    shafts = (_shaft(signals, joint, share, f) for f in frequencies)
+    return [_candidate([], shaft) for shaft in shafts if shaft is not None]
+
+
+def _shaft(signals: Signals, joint: int, share: float, frequency: float) -> dict[str, float] | None:
+    """Stiffness and damping of a shaft by the link's frequency [Hz]; None of one that is beyond the arm's."""
     inertia = float(link_side(signals, joint)[0].mean())
+    stiffness = float(inertia * (2.0 * np.pi * frequency) ** 2)
+    if is_arm(signals) and not _STIFFNESSES[0] <= stiffness <= _STIFFNESSES[1]:
+        return None
+    return {"stiffness": stiffness, "damping": float(2.0 * share * np.sqrt(stiffness * inertia))}
 
-    def at(frequency: float, share: float) -> Candidate | None:
-        stiffness = float(inertia * (2.0 * np.pi * frequency) ** 2)
-        if is_arm(signals) and not _STIFFNESSES[0] <= stiffness <= _STIFFNESSES[1]:
-            return None
-        shaft = {"stiffness": stiffness, "damping": float(2.0 * share * np.sqrt(stiffness * inertia))}
-        column = _cost(signals, joint, **shaft)
-        return candidate([column], [1.0], [0.12], lambda c, **shaft: shaft, shaft, VOLTAGE_COLUMN, fixed=True)
 
-    return [c for share, frequencies in _RESONANCES for f in frequencies if (c := at(f, share)) is not None]
+def _candidate(columns: list[ByJoint], shaft: dict[str, float]) -> Candidate:
+    return candidate(columns, [1.0], [0.12], lambda c, **shaft: shaft, shaft, VOLTAGE_COLUMN, fixed=True)
 
 
 def _cost(signals: Signals, joint: int, stiffness: float, damping: float) -> ByJoint:
@@ -87,7 +101,7 @@ EFFECT = Kind(
     needs=Needs(ROTOR_INERTIA, "a rotor that can move against its link"),
     feigned=True,
     known_voltage=lambda signals, joint, v, _: _cost(signals, joint, v["stiffness"], v["damping"]),
-    screening=Screening(elasticity, "A dither or chirp up to 15 Hz, best without feedback.", fast=True),
+    screening=Screening(elasticity, "A dither or chirp up to 15 Hz, best without feedback.", fast=True, runs=runs),
     drawn_against=("acceleration",),
     example="joint_elasticity:joint=2,stiffness=2e4",
 )

@@ -204,19 +204,18 @@ class Trials:
         """The screened model, its threshold or stiffness the one that fits best of a few: no slope shows it.
 
         A missing effect may have stretched the parameters that the screening took it by. One mass is quick enough to
-        try the sizes that machines have, at these parameters and at the nominal ones; of two masses those with a softer
-        spring than the screened one, which take no longer than it.
+        try the sizes that machines have, at these parameters and at the nominal ones. Of two masses it is the one that
+        was run in the screening, where the parameters answered to it.
         """
         if not fixed(scored):
             return screened
         number, name = len(screened.effects) - 1, next(iter(scored.values or ()))
         value = screened.effects[-1].values[name]
-        starts = [(screened.theta, share * value) for share in FITTING.threshold_starts]
+        shares = (1.0,) if KINDS[scored.name].two_masses else FITTING.threshold_starts
+        starts = [(screened.theta, share * value) for share in shares]
         sizes = self._sizes(screened.effects[-1], name)
         if not screened.two_mass:
             starts += [(theta, size) for theta in (screened.theta, self.mechanism.start) for size in sizes]
-        elif KINDS[scored.name].two_masses and KINDS[scored.name].parameter(name).inverse:
-            starts += [(screened.theta, size) for size in sizes if size < starts[0][1]]
         found = fit.lowest_of(_of_value(screened, number, name, starts))
         if found is None:
             return screened

@@ -20,10 +20,10 @@ from puma_sim_core.effects import Kind
 from puma_sim_core.effects.screening import TORQUE_COLUMN, Candidate, Signals
 from puma_sim_core.identify.arrays import Complexes, Floats, cholesky, log_rows, solved
 from puma_sim_core.identify.data.sampling import Trajectory
-from puma_sim_core.identify.fitting.point import Point
+from puma_sim_core.identify.fitting.point import Point, bounded
 from puma_sim_core.identify.fitting.prediction import PredictionFit
-from puma_sim_core.identify.screening.evidence import Entry, Estimate, Scored, log_gain, score, scored_of
-from puma_sim_core.identify.screening.hypotheses import by_joint, candidates, signals_of
+from puma_sim_core.identify.screening.evidence import Entry, Estimate, Key, Scored, log_gain, score, scored_of
+from puma_sim_core.identify.screening.hypotheses import by_joint, candidates, screening_of, signals_of
 from puma_sim_core.identify.screening.problem import Problem
 from puma_sim_core.identify.settings import SCREENING, SELECTION
 
@@ -49,6 +49,7 @@ class CausalScreen:
         self.errors = errors
         self._spectra: dict[tuple[int, int], tuple[int, Complexes]] = {}
         self._foldings: dict[tuple[int, int], tuple[int, Complexes]] = {}
+        self._ran: dict[Key, list[tuple[Candidate, Columns]]] = {}
         rows = fit.rows
         self.J = errors.shape[1]
         self.lengths = self.predictor.lengths
@@ -69,6 +70,7 @@ class CausalScreen:
         self.Ny = self._nuisance(self.y) + pull
         self.scaled = solved(self.factor, self.Ny)
         self.signals = self._signals()
+        self._coupling = self._couplings()
 
     def _nuisance(self, ys: Sequence[Floats]) -> Floats:
         """(p, ...) N'y of blocks (b, ...) of each joint."""
@@ -119,6 +121,20 @@ class CausalScreen:
         left = p.in_volts(np.concatenate([t.innovation for t in tracked]), s.cutoffs[1])
         # what is to be placed by it must not lie in rows that are not fitted to
         return replace(signals, residual=np.where(self.fit.rows, left, 0.0))
+
+    def _couplings(self) -> dict[tuple[int, int], Floats]:
+        """(joint, other joint) -> (N,) voltage [V] that moves the first, in the predictor's model of it by itself, as a
+        volt of the other does: V_i = k_i m_i (M^-1)_ij / k_j, M the inertia matrix and k_j the volts a torque of the
+        point, m_i and k_i those of that model. Without those that change the innovations by no more than
+        `SCREENING.coupling`."""
+        m, s, point = self.fit.mechanism, self.signals, self.point
+        inertia = m.inertia_matrix(point.theta, s.position) + np.diag(s.motor_inertia)
+        volts = m.drive(m.start).volts_per_torque * self.predictor.inertia
+        answer = volts[:, None] * np.linalg.inv(inertia) / s.volts_per_torque
+        shown = np.array([np.linalg.norm(self._response(j)) for j in range(self.J)])
+        strength = np.sqrt(np.mean(answer**2, axis=0)) * shown[:, None]
+        kept = strength > SCREENING.coupling * strength.diagonal()
+        return {(i, j): answer[:, i, j] for i, j in np.argwhere(kept).tolist()}
 
     def columns(self, candidate: Candidate) -> Columns:
         """Joint -> (b, p) whitened innovations that unit coefficients would make, in blocks."""
@@ -177,7 +193,7 @@ class CausalScreen:
         return out * self.signals.enable
 
     def _volts(self, candidate: Candidate) -> dict[int, Floats]:
-        """Joint -> (N, p) voltages [V] of unit coefficients."""
+        """Joint -> (N, p) voltages [V] of unit coefficients, each in the predictor's model of the joint by itself."""
         s, out = self.signals, by_joint(candidate, len(self.signals.time))
         for j, full in out.items():
             if candidate.unit == TORQUE_COLUMN:
@@ -186,7 +202,11 @@ class CausalScreen:
                     full = full + s.lag[j] * np.gradient(full, s.step, axis=0)
             full *= s.enable[:, j : j + 1]
             out[j] = full
-        return out
+        moved = dict[int, Floats]()
+        for (i, j), share in self._coupling.items():
+            if j in out:
+                moved[i] = moved.get(i, 0.0) + share[:, None] * out[j]
+        return moved
 
     def _innovations(self, candidate: Candidate) -> dict[int, Floats]:
         """Joint -> (N, p) whitened innovations that unit coefficients would make."""
@@ -214,7 +234,23 @@ class CausalScreen:
 
     def pairs(self, kind: Kind, joint: int | None) -> list[tuple[Candidate, Columns]]:
         """The candidates of a hypothesis with their columns; joint 1-based, None for the whole arm."""
-        return [(c, self.columns(c)) for c in candidates(kind, joint, self.signals)]
+        if (runs := screening_of(kind).runs) is None or joint is None:
+            return [(c, self.columns(c)) for c in candidates(kind, joint, self.signals)]
+        if (kind.name, joint) not in self._ran:
+            self._ran[kind.name, joint] = self._in_model(kind, joint, runs(self.signals, joint - 1))
+        return self._ran[kind.name, joint]
+
+    def _in_model(self, kind: Kind, joint: int, found: Sequence[Candidate]) -> list[tuple[Candidate, Columns]]:
+        """Candidates of coefficient 1, each with what a run of the model with it takes from the innovations; those that
+        can be run."""
+        effects = (bounded(kind, joint, c.values(c.mean)) for c in found)
+        points = [Point(self.point.theta, (*self.point.effects, effect)) for effect in effects]
+        ran = zip(found, self.fit.errors_of(points))
+        return [
+            (c, {j: self._blocks((self.errors - errors)[:, j : j + 1], j) for j in range(self.J)})
+            for c, errors in ran
+            if errors is not None
+        ]
 
     def score(self, kind: Kind, joint: int | None) -> Scored | None:
         """A hypothesis as scored, None without candidates."""

@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable, Iterator
 import numpy as np
 
 from puma_sim_core.effects import Kind
-from puma_sim_core.effects.screening import Candidate, Signals
+from puma_sim_core.effects.screening import Candidate, Screening, Signals
 from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.data.sampling import Trajectory
 from puma_sim_core.identify.screening.evidence import Key
@@ -85,8 +85,13 @@ def open_to(kind: Kind, joint: int | None, keys: Collection[Key]) -> bool:
 
 def candidates(kind: Kind, joint: int | None, signals: Signals) -> list[Candidate]:
     """The candidates of a hypothesis; joint 1-based, None for the whole arm."""
+    return screening_of(kind).candidates(signals, None if joint is None else joint - 1)
+
+
+def screening_of(kind: Kind) -> Screening:
+    """How an effect of the library is found in a log."""
     assert kind.screening is not None
-    return kind.screening.candidates(signals, None if joint is None else joint - 1)
+    return kind.screening
 
 
 def by_joint(candidate: Candidate, rows: int) -> dict[int, Floats]:

@@ -10,12 +10,11 @@ from collections.abc import Collection, Iterator, Mapping
 import numpy as np
 
 from puma_sim_core.effects import Kind
-from puma_sim_core.effects.screening import Screening
 from puma_sim_core.identify.fitting.point import Point
 from puma_sim_core.identify.fitting.predictor import Predictor
 from puma_sim_core.identify.screening.causal import CausalScreen
 from puma_sim_core.identify.screening.evidence import Bank, Key, Scored
-from puma_sim_core.identify.screening.hypotheses import hypotheses, open_to
+from puma_sim_core.identify.screening.hypotheses import hypotheses, open_to, screening_of
 from puma_sim_core.identify.screening.search import Search
 from puma_sim_core.identify.settings import SCREENING, SELECTION
 
@@ -40,7 +39,7 @@ class ShortList:
         # a model of two masses a joint takes some ten times as long
         share = 2 if point.two_mass else 1
         # where the filtered motion has a large residual at the start, the fitted model may have none
-        placed = {s.key: s for s in fast if _screening(self.library[s.name]).placed}
+        placed = {s.key: s for s in fast if screening_of(self.library[s.name]).placed}
         short = {s.key: placed.get(s.key, s) for s in slow[: SCREENING.short_list_slow // share]}
         others = [s for s in fast if s.key not in short]
         short |= {s.key: s for s in others[: SCREENING.short_list_fast // share]}
@@ -56,12 +55,15 @@ class ShortList:
 
     def _fast(self, keys: Collection[Key], causal: CausalScreen) -> list[Scored]:
         """By the innovations, best first."""
-        found = [
+        scored = [
             causal.score(kind, joint)
             for kind, joint in hypotheses(self.library.values(), self.predictor.mechanism)
             if open_to(kind, joint, keys)
         ]
-        return sorted((s for s in found if s is not None and _promising(s)), key=lambda s: -s.gain)
+        found = sorted((s for s in scored if s is not None and _promising(s)), key=lambda s: -s.gain)
+        # a trial of two masses takes several times as long: what is far behind the best has its turn beside it
+        least = max(SELECTION.worth_pairing, SCREENING.short_list_family * max((s.gain for s in found), default=0.0))
+        return [s for s in found if s.gain > least or not self.library[s.name].two_masses]
 
     def _related(self, short: list[Scored], keys: Collection[Key], causal: CausalScreen) -> list[Scored]:
         """Effects that one of these contains, and effects that contain one of the best."""
@@ -82,7 +84,7 @@ class ShortList:
 
     def _containing(self, name: str) -> list[str]:
         """Effects that contain one."""
-        return [k.name for k in self.library.values() if name in k.contains and not _screening(k).generous]
+        return [k.name for k in self.library.values() if name in k.contains and not screening_of(k).generous]
 
     def richer(self, gains: Mapping[Key, float], taken: Collection[Key]) -> list[tuple[Kind, int | None]]:
         """(effect, joint) that contain one of the best trials. gains [nat] : of the trials that may be named; taken :
@@ -107,7 +109,7 @@ class ShortList:
         joints = [j for j in every if j not in rubs and (j in missing or None in missing)]
         taken, more = {s.key for s in found} | set(keys), list[Scored]()
         for kind in self.library.values():
-            start = _screening(kind).common
+            start = screening_of(kind).common
             for joint in (j for j in joints if (kind.name, j) not in taken):
                 scored = None if start is None else causal.score(kind, joint)
                 # what is missing on the whole arm says nothing of a joint that does not move
@@ -130,16 +132,10 @@ class ShortList:
         noisy = volts > SCREENING.short_list_noisy * np.median(volts)
         for joint in range(1, len(volts) + 1):
             for name, kind in self.library.items():
-                values = dict(_screening(kind).unseen)
+                values = dict(screening_of(kind).unseen)
                 powerless = noisy[joint - 1] if kind.two_masses else stretched or joint in self.doubted
                 if values and powerless and joint not in two_mass and (name, joint) not in taken:
                     yield Scored(name, joint, 0.0, values=values, occam=SCREENING.short_list_unseen_occam * len(values))
-
-
-def _screening(kind: Kind) -> Screening:
-    """How an effect of the library is found in a log."""
-    assert kind.screening is not None
-    return kind.screening
 
 
 def _promising(scored: Scored) -> bool:

@@ -10,6 +10,8 @@ class Screening:
 
     causal_block: float = 6e-3  #: length of a block [s]
     search_whiteners: int = 1  #: whiteners of each joint that are kept: the last noise is asked for again
+    #: share of what a voltage does to its own joint below which what it does to another is left out: 4 % of the squares
+    coupling: float = 0.2
     causal_together: int = 64  #: columns that are multiplied with those of the parameters at once
     causal_precision: float = 1e-4  #: prior precision of the parameters of effects that are in the model
 
@@ -33,8 +35,9 @@ class Screening:
 
     short_list_slow: int = 8  #: slow hypotheses of a short list
     short_list_fast: int = 4  #: fast ones beside these
-    short_list_least_screened: float = 2.0  #: their least gain in the screening [nat]
-    short_list_family: float = 0.3  #: share of the best screened gain from which containing effects are tried, too
+    short_list_least_screened: float = 0.0  #: their least gain in the screening [nat]: more likely with than without
+    #: share of the best screened gain from which containing effects are tried, too, and those of two masses
+    short_list_family: float = 0.3
     short_list_noisy: float = 2.0  #: noise of a far noisier joint, over the median
     short_list_unseen_occam: float = 4.0  #: Occam factor [nat] of what is tried there without evidence
 

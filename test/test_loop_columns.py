@@ -1,0 +1,64 @@
+# Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
+"""Columns of the screening of the innovations beside runs of the model, on arms whose joints move each other."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from loop_fits import of_machine, screen_of
+from machines.records import Record
+
+from puma_sim_core.effects import KINDS, Effect, parse_effect
+from puma_sim_core.identify.fitting.point import Point
+from puma_sim_core.identify.fitting.prediction import Fitted
+
+pytestmark = pytest.mark.long
+
+
+def model_of(fit, point):
+    """A model as if it had been fitted."""
+    errors = fit.errors(point)
+    return Fitted(point, errors, fit.objective(errors, point), ())
+
+
+@pytest.fixture(scope="module", params=["dfki_double_a0", "so101_pitch", "qube_pendulum"])
+def coupled(request, tmp_path_factory):
+    """The fit of a log of a machine with two joints that lacks nothing, the true model, and its screening."""
+    record = Record(3, request.param)
+    record.effects = ()
+    fit, trials, true = of_machine(record, tmp_path_factory.mktemp("log"))
+    model = model_of(fit, true)
+    return fit, model, screen_of(fit, trials, model)
+
+
+@pytest.mark.parametrize("joint", [1, 2])
+@pytest.mark.parametrize("name, size", [("voltage_offset", 1e-3), ("quadratic_friction", 1e-3)])
+def test_a_column_is_what_a_small_effect_takes_from_the_innovations_of_all_joints(coupled, name, size, joint):
+    fit, model, screen = coupled
+    if not fit.mechanism.possible(name, joint):
+        pytest.skip("a joint without a motor")
+    kind = KINDS[name]
+    ((candidate, columns),) = screen.pairs(kind, joint)[:1]
+    little = size * fit.mechanism.torque_scale[joint - 1]
+    errors = fit.errors(Point(model.point.theta, (Effect(kind, joint, {kind.parameters[0].name: little}),)))
+    taken = [screen._blocks((model.errors - errors)[:, j : j + 1], j)[:, 0] for j in range(2)]
+    made = [columns[j][:, 0] if j in columns else np.zeros_like(own) for j, own in enumerate(taken)]
+    assert candidate.values(np.array([little])) == {kind.parameters[0].name: pytest.approx(little)}
+    # behind the start, where a run begins with the current of its own model
+    both, found = (np.concatenate([own[100:] for own in each]) for each in (taken, [little * own for own in made]))
+    # the columns go by a linear model of each joint by itself, at its mean inertia
+    assert both @ found > 0.98 * np.linalg.norm(both) * np.linalg.norm(found)
+    assert 0.7 < np.linalg.norm(found) / np.linalg.norm(both) < 1.4
+
+
+def test_the_elasticity_of_a_joint_whose_rotor_is_light_beside_its_link_is_seen(tmp_path):
+    """The column by the motion of the rotor sees nothing of it: the rotor swings against the link, at 22 Hz here."""
+    record = Record(47, "qube_pendulum")
+    record.effects = (parse_effect("joint_elasticity:joint=1,stiffness=1.9,damping=0.003"),)
+    fit, trials, true = of_machine(record, tmp_path)
+    model, _ = fit.to_end(Point(true.theta, ()), ())
+    found = screen_of(fit, trials, model).score(KINDS["joint_elasticity"], 1)
+    assert found.gain > 40.0 and 0.5 < found.values["stiffness"] / 1.9 < 2.0
+    base = trials.base(model, fit.weighting, fit.derivatives(model.point, ()))
+    trial = trials.run(base, found)
+    assert trial.gain > found.gain and trial.effect.values["stiffness"] == pytest.approx(1.9, rel=0.2)
