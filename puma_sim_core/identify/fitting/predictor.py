@@ -67,8 +67,8 @@ class Predictor:
 
     Attributes for each joint: gain (J, 3) of position [1], velocity [1/s] and current [A/rad] for an innovation;
     responses: innovations (k,) [rad/V] after a volt in one row that the model lacks; spread: standard deviation of an
-    innovation [rad] of a true model; linear: transition, what a volt adds, and gain of the joint by itself; inertia
-    (J,): that of the joint by itself; least (J,): least noise of a row's voltage [V].
+    innovation [rad] of a true model; linear: transition, what a volt adds, and gain of the joint by itself; least (J,):
+    least noise of a row's voltage [V].
     """
 
     def __init__(
@@ -170,7 +170,7 @@ class Predictor:
         m = self.mechanism
         position = np.vstack([s.position for s in self.stretches])[:: FITTING.inertia_every]
         drive = m.drive(m.start)
-        self.inertia = inertia = m.inertia(m.start, position).mean(axis=0) + drive.motor_inertia
+        inertia = m.inertia(m.start, position).mean(axis=0) + drive.motor_inertia
         models = []
         for j in range(m.joints):
             k, lag, emf = drive.volts_per_torque[j], drive.lag[j], drive.emf[j]

@@ -9,7 +9,7 @@ columns are averaged over blocks of rows that are short beside anything the colu
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +22,7 @@ from puma_sim_core.identify.arrays import Complexes, Floats, cholesky, log_rows,
 from puma_sim_core.identify.data.sampling import Trajectory
 from puma_sim_core.identify.fitting.point import Point, bounded
 from puma_sim_core.identify.fitting.prediction import PredictionFit
+from puma_sim_core.identify.screening.coupling import Coupling, Pair
 from puma_sim_core.identify.screening.evidence import Entry, Estimate, Key, Scored, log_gain, score, scored_of
 from puma_sim_core.identify.screening.hypotheses import by_joint, candidates, screening_of, signals_of
 from puma_sim_core.identify.screening.problem import Problem
@@ -47,8 +48,8 @@ class CausalScreen:
         self.problem = problem
         self.block = max(1, int(SCREENING.causal_block / self.predictor.step))
         self.errors = errors
-        self._spectra: dict[tuple[int, int], tuple[int, Complexes]] = {}
-        self._foldings: dict[tuple[int, int], tuple[int, Complexes]] = {}
+        self._spectra: dict[tuple[int, int, int], tuple[int, Complexes]] = {}
+        self._foldings: dict[tuple[int, int, int], tuple[int, Complexes]] = {}
         self._ran: dict[Key, list[tuple[Candidate, Columns]]] = {}
         rows = fit.rows
         self.J = errors.shape[1]
@@ -70,7 +71,8 @@ class CausalScreen:
         self.Ny = self._nuisance(self.y) + pull
         self.scaled = solved(self.factor, self.Ny)
         self.signals = self._signals()
-        self._coupling = self._couplings()
+        self.coupling = Coupling.of(self.predictor, point.theta, self.signals)
+        self.moved = self._pairs()
 
     def _nuisance(self, ys: Sequence[Floats]) -> Floats:
         """(p, ...) N'y of blocks (b, ...) of each joint."""
@@ -122,33 +124,38 @@ class CausalScreen:
         # what is to be placed by it must not lie in rows that are not fitted to
         return replace(signals, residual=np.where(self.fit.rows, left, 0.0))
 
-    def _couplings(self) -> dict[tuple[int, int], Floats]:
-        """(joint, other joint) -> (N,) voltage [V] that moves the first, in the predictor's model of it by itself, as a
-        volt of the other does: V_i = k_i m_i (M^-1)_ij / k_j, M the inertia matrix and k_j the volts a torque of the
-        point, m_i and k_i those of that model. Without those that change the innovations by no more than
-        `SCREENING.coupling`."""
-        m, s, point = self.fit.mechanism, self.signals, self.point
-        inertia = m.inertia_matrix(point.theta, s.position) + np.diag(s.motor_inertia)
-        volts = m.drive(m.start).volts_per_torque * self.predictor.inertia
-        answer = volts[:, None] * np.linalg.inv(inertia) / s.volts_per_torque
-        shown = np.array([np.linalg.norm(self._response(j)) for j in range(self.J)])
-        strength = np.sqrt(np.mean(answer**2, axis=0)) * shown[:, None]
-        kept = strength > SCREENING.coupling * strength.diagonal()
-        return {(i, j): answer[:, i, j] for i, j in np.argwhere(kept).tolist()}
+    def _pairs(self) -> list[Pair]:
+        """(joint that is moved, joint of a voltage), without those that change the innovations by no more than
+        `SCREENING.coupling` of what the voltage does to its own joint."""
+        shown = {pair: float(np.linalg.norm(self._response(*pair))) for pair in self.coupling.responses}
+        return [(i, j) for i, j in shown if shown[i, j] > SCREENING.coupling * shown[j, j] or i == j]
 
     def columns(self, candidate: Candidate) -> Columns:
         """Joint -> (b, p) whitened innovations that unit coefficients would make, in blocks."""
-        return {j: self._in_blocks(volts, j) for j, volts in self._volts(candidate).items()}
+        return self._on_all(self._volts(candidate), self._in_blocks)
 
-    def _in_blocks(self, volts: Floats, joint: int) -> Floats:
-        """(b, p) whitened innovations of voltages (N, p), in blocks: `_blocks` of what `_innovations` makes of them.
+    def _on_all(self, volts: dict[int, Floats], passed: Callable[[Floats, int, int], Floats]) -> dict[int, Floats]:
+        """Joint that is moved -> sum of what voltages (N, p) of the joints make of it.
+
+        passed : (voltages, joint that is moved, joint of the voltages) -> that part.
+        """
+        out = dict[int, Floats]()
+        for i, j in self.moved:
+            if j in volts:
+                share = self.coupling.shares.get((i, j))
+                part = passed(volts[j] if share is None else share[:, None] * volts[j], i, j)
+                out[i] = out[i] + part if i in out else part
+        return out
+
+    def _in_blocks(self, volts: Floats, joint: int, source: int) -> Floats:
+        """(b, p) whitened innovations by voltages (N, p) of a joint, in blocks: `_blocks` of what `_passed` gives.
 
         Means over blocks are a filter, of whose output each `block`-th row is taken: what folds its spectrum.
         """
         parts, block = [], self.block
         for rows in log_rows(self.lengths):
             count = (rows.stop - rows.start) // block
-            size, spectrum = self._folding(joint, rows.stop - rows.start)
+            size, spectrum = self._folding(joint, source, rows.stop - rows.start)
             X = rfft(np.ascontiguousarray(volts[rows].T), size) * spectrum
             half, length = size // block // 2, size // block
             folded = X[:, : half + 1].copy()
@@ -161,15 +168,15 @@ class CausalScreen:
             parts.append(irfft(folded, length)[:, :count].T)
         return np.concatenate(parts)[self.usable[joint]] * (np.sqrt(block) / block)
 
-    def _folding(self, joint: int, rows: int) -> tuple[int, Complexes]:
+    def _folding(self, joint: int, source: int, rows: int) -> tuple[int, Complexes]:
         """Size of the transforms of so many rows, a multiple of two blocks, and the transform (f,) of the response
         averaged over a block from a row on."""
-        if (joint, rows) not in self._foldings:
-            response = np.convolve(self._response(joint), np.full(self.block, 1.0 / self.block))
+        if (joint, source, rows) not in self._foldings:
+            response = np.convolve(self._response(joint, source), np.full(self.block, 1.0 / self.block))
             size = 2 * self.block * next_fast_len(-(-(rows + len(response)) // (2 * self.block)), real=True)
             turn = np.exp(2j * np.pi * np.arange(size // 2 + 1) * ((self.block - 1) / size))
-            self._foldings[joint, rows] = size, rfft(response, size) * turn
-        return self._foldings[joint, rows]
+            self._foldings[joint, source, rows] = size, rfft(response, size) * turn
+        return self._foldings[joint, source, rows]
 
     def left(self, best: Estimate | None = None) -> Floats:
         """(N, J) innovations after whitening at the rows to fit, 0 elsewhere, that a hypothesis leaves when the
@@ -193,7 +200,7 @@ class CausalScreen:
         return out * self.signals.enable
 
     def _volts(self, candidate: Candidate) -> dict[int, Floats]:
-        """Joint -> (N, p) voltages [V] of unit coefficients, each in the predictor's model of the joint by itself."""
+        """Joint -> (N, p) voltages [V] of unit coefficients."""
         s, out = self.signals, by_joint(candidate, len(self.signals.time))
         for j, full in out.items():
             if candidate.unit == TORQUE_COLUMN:
@@ -202,35 +209,33 @@ class CausalScreen:
                     full = full + s.lag[j] * np.gradient(full, s.step, axis=0)
             full *= s.enable[:, j : j + 1]
             out[j] = full
-        moved = dict[int, Floats]()
-        for (i, j), share in self._coupling.items():
-            if j in out:
-                moved[i] = moved.get(i, 0.0) + share[:, None] * out[j]
-        return moved
+        return out
 
     def _innovations(self, candidate: Candidate) -> dict[int, Floats]:
         """Joint -> (N, p) whitened innovations that unit coefficients would make."""
-        out = self._volts(candidate)
-        for j, full in out.items():
-            for rows in log_rows(self.lengths):
-                n = rows.stop - rows.start
-                size, spectrum = self._spectrum(j, n)
-                columns = np.ascontiguousarray(full[rows].T)
-                full[rows] = irfft(rfft(columns, size) * spectrum, size)[:, :n].T
+        return self._on_all(self._volts(candidate), self._passed)
+
+    def _passed(self, volts: Floats, joint: int, source: int) -> Floats:
+        """(N, p) whitened innovations of a joint by voltages (N, p) of one."""
+        out = np.empty_like(volts)
+        for rows in log_rows(self.lengths):
+            n = rows.stop - rows.start
+            size, spectrum = self._spectrum(joint, source, n)
+            out[rows] = irfft(rfft(np.ascontiguousarray(volts[rows].T), size) * spectrum, size)[:, :n].T
         return out
 
-    def _response(self, joint: int) -> Floats:
-        """Whitened innovations of a joint after a volt in one row."""
+    def _response(self, joint: int, source: int) -> Floats:
+        """Whitened innovations of a joint after a volt on one in one row."""
         w = self.fit.weighting
-        return np.convolve(self.predictor.responses[joint], w.filters[joint]) / w.scale[joint]
+        return np.convolve(self.coupling.responses[joint, source], w.filters[joint]) / w.scale[joint]
 
-    def _spectrum(self, joint: int, rows: int) -> tuple[int, Complexes]:
+    def _spectrum(self, joint: int, source: int, rows: int) -> tuple[int, Complexes]:
         """Size of the transforms that convolve so many rows, and the response's one (f,)."""
-        if (joint, rows) not in self._spectra:
-            response = self._response(joint)
+        if (joint, source, rows) not in self._spectra:
+            response = self._response(joint, source)
             size = next_fast_len(rows + len(response) - 1, real=True)
-            self._spectra[joint, rows] = size, rfft(response, size)
-        return self._spectra[joint, rows]
+            self._spectra[joint, source, rows] = size, rfft(response, size)
+        return self._spectra[joint, source, rows]
 
     def pairs(self, kind: Kind, joint: int | None) -> list[tuple[Candidate, Columns]]:
         """The candidates of a hypothesis with their columns; joint 1-based, None for the whole arm."""
@@ -308,7 +313,7 @@ class CausalScreen:
     def response(self, joint: int, frequency: Floats) -> Complexes:
         """Whitened innovation of a joint per volt at frequencies [Hz], blocks averaged."""
         h = self.predictor.step
-        taps = self._response(joint)
+        taps = self._response(joint, joint)
         turn = np.exp(-2j * np.pi * np.outer(frequency, np.arange(len(taps))) * h)
         x = np.pi * np.asarray(frequency) * h * self.block
         return turn @ taps * np.sinc(x / np.pi) * np.sqrt(self.block)
