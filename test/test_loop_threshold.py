@@ -72,6 +72,8 @@ def test_a_further_name_needs_what_chance_and_misfit_ask_whatever_the_first_one_
     assert (stage.accepted is not None) == named
     untried = replace(further, validation_gain=FITTING.untried)
     assert (stage.needed(first), stage.needed(untried)) == (SELECTION.least_gain, SELECTION.least_untried)
+    # as the first of a pair, too
+    assert stage.needed(trial(("joint_elasticity", 1), gain)) == SELECTION.least_two_mass
 
 
 def test_dry_friction_needs_what_chance_gives_it_and_others_what_it_gives_them():

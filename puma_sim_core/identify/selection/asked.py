@@ -4,11 +4,9 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-from puma_sim_core.effects import KINDS
 from puma_sim_core.identify.fitting.trial import Trial
 from puma_sim_core.identify.screening.evidence import Key
 from puma_sim_core.identify.selection.state import Stage, Threshold
-from puma_sim_core.identify.settings import SELECTION
 
 
 def in_both(
@@ -37,9 +35,4 @@ def passes(trial: Trial, stage: Stage) -> bool:
 
 def asked_for(trial: Trial, stage: Stage) -> bool:
     """Whether the log asks for a trial of a stage, whatever a machine may have."""
-    return (
-        trial.key not in stage.unclear
-        and trial.validation_gain > 0.0
-        and trial.gain > stage.needed(trial)
-        and (not KINDS[trial.name].two_masses or trial.gain > SELECTION.least_two_mass)
-    )
+    return trial.key not in stage.unclear and trial.validation_gain > 0.0 and trial.gain > stage.needed(trial)

@@ -109,8 +109,10 @@ class Stage:
     def needed(self, trial: Trial) -> float:
         """The gain [nat] that a trial must have more than: more where the validation set says nothing of it, but for
         the first dry friction of a joint, which acts wherever the joint moves, and for what the parameters' priors ask
-        for by themselves, of which no rows say anything."""
+        for by themselves, of which no rows say anything; and more where it gives a joint two masses."""
         asked = self.threshold.of(trial.key)
+        if KINDS[trial.name].two_masses:
+            asked = max(asked, SELECTION.least_two_mass)
         if not trial.untried or self.threshold.rubs(trial.key) or self.by_priors(trial):
             return asked
         return max(asked, SELECTION.least_untried)
