@@ -407,28 +407,22 @@ def offset(gain, angle, problem):
 
 
 @pytest.mark.parametrize(
-    "gain, rival, problem, found",
+    "gain, rival, beyond, problem, found",
     [
-        (120.0, 90.0, "more than any machine has", True),
-        (105.0, 90.0, "more than any machine has", False),  # not clearly better than an effect
-        (120.0, 90.0, None, False),  # one that a sensor may have is an effect like others
-        (60.0, 0.0, "more than any machine has", True),
-        (25.0, 0.0, "more than any machine has", False),
+        (120.0, 90.0, None, "more than any machine has", True),
+        (105.0, 90.0, None, "more than any machine has", False),  # not clearly better than an effect
+        (120.0, 90.0, None, None, False),  # one that a sensor may have is an effect like others
+        (60.0, 0.0, None, "more than any machine has", True),
+        (25.0, 0.0, None, "more than any machine has", False),  # not above the threshold by enough
+        (120.0, 110.0, "impossible", "more than any machine has", True),
+        (120.0, 130.0, "impossible", "more than any machine has", False),  # what no machine has fits better still
     ],
-)  # not above the threshold by enough
-def test_a_zero_that_no_sensor_has_is_a_fault_of_the_data(gain, rival, problem, found):
-    stage = Stage((offset(gain, 0.9, problem), trial(A, rival)), Threshold.alike(15.0), None)
-    faults = wrong_zeros([stage])
+)
+def test_a_zero_that_no_sensor_has_is_a_fault_of_the_data(gain, rival, beyond, problem, found):
+    other = replace(trial(A, rival), problem=beyond)
+    faults = wrong_zeros([Stage((offset(gain, 0.9, problem), other), Threshold.alike(15.0), None)])
     assert [(f.channel, f.row) for f in faults] == ([("position2", None)] if found else [])
     assert all("offset by about 0.9 rad" in f.what for f in faults)
-
-
-def test_where_an_effect_that_no_machine_has_fits_better_a_zero_is_not_what_is_wrong():
-    beyond = "more than any machine has"
-    for gain, found in ((110.0, 1), (130.0, 0)):
-        other = replace(trial(A, gain), problem=beyond)
-        stage = Stage((offset(120.0, 0.9, beyond), other), Threshold.alike(15.0), None)
-        assert len(wrong_zeros([stage])) == found
 
 
 def test_a_spring_is_contained_in_a_stop():
