@@ -387,13 +387,20 @@ def _least_volts(model: tuple[Floats, Floats], noise: float, step: float) -> flo
 
 def _response(F: Floats, G: Floats, C: Floats, gain: Floats) -> Floats:
     """Innovations (k,) of a predictor after one row of a voltage that it does not know of."""
-    kept = F @ (np.eye(len(F)) - gain[:, None] @ C)
-    x, greatest = -G[:, 0], 0.0
-    out: list[float] = []
+    return innovations_of(F @ (np.eye(len(F)) - gain[:, None] @ C), -G[:, 0], C)[:, 0]
+
+
+def innovations_of(kept: Floats, x: Floats, C: Floats) -> Floats:
+    """Innovations (k, J) of an error x (n,) of a predicted state, until they are a small share of the greatest.
+
+    kept (n, n) : what a row keeps of an error; C (J, n) : the innovations that one makes.
+    """
+    out, greatest = list[Floats](), 0.0
     while len(out) < FITTING.response_rows:
-        out.append(float(C[0] @ x))
-        greatest = max(greatest, abs(out[-1]))
-        if len(out) > 5 and abs(out[-1]) < FITTING.response_end * greatest and abs(x).max() < 1e2:
+        out.append(C @ x)
+        size = float(np.abs(out[-1]).max())
+        greatest = max(greatest, size)
+        if len(out) > 5 and size < FITTING.response_end * greatest and abs(x).max() < 1e2:
             break
         x = kept @ x
     return np.array(out)

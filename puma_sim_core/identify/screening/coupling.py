@@ -15,8 +15,7 @@ from scipy.linalg import expm
 
 from puma_sim_core.effects.screening import Signals
 from puma_sim_core.identify.arrays import Floats
-from puma_sim_core.identify.fitting.predictor import Predictor
-from puma_sim_core.identify.settings import FITTING
+from puma_sim_core.identify.fitting.predictor import Predictor, innovations_of
 
 #: (joint that is moved, joint of the voltage), both 0-based
 Pair = tuple[int, int]
@@ -73,17 +72,4 @@ def _responses(predictor: Predictor, signals: Signals, mobility: Floats) -> list
     block = expm(block)
     F, G = block[:n, :n], block[:n, n:]
     kept = F @ (np.eye(n) - K @ C)
-    return [_falling(kept, -G[:, j], C) for j in range(joints)]
-
-
-def _falling(kept: Floats, x: Floats, C: Floats) -> Floats:
-    """Innovations (k, J) of an error x (n,) of the state, until they are a small share of the greatest."""
-    out, greatest = list[Floats](), 0.0
-    while len(out) < FITTING.response_rows:
-        out.append(C @ x)
-        size = float(np.abs(out[-1]).max())
-        greatest = max(greatest, size)
-        if len(out) > 5 and size < FITTING.response_end * greatest and abs(x).max() < 1e2:
-            break
-        x = kept @ x
-    return np.array(out)
+    return [innovations_of(kept, -G[:, j], C) for j in range(joints)]
