@@ -138,7 +138,7 @@ def test_of_a_stage_only_what_the_model_lacks_is_open():
     assert [t.key for t in state.others(stage)] == [("impulse_3", 1)]
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 def test_three_pushes_by_hand_are_named_where_they_came():
     """Their shape is a bell and not the effect's own: place and momentum are what is asked for."""
     bells = {2.4: 0.7, 6.2: 0.8, 9.1: -0.9}
