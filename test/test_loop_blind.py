@@ -100,6 +100,21 @@ def test_both_effects_of_a_pair_are_named():
 
 
 @pytest.mark.thorough
+def test_a_wide_gap_is_named_where_it_stretched_the_parameters(tmp_path):
+    """A record of a score: by runs about such parameters alone a gap of 0.15 mrad was tried, and nothing missing."""
+    pytest.importorskip("mujoco")
+    from blind import generate
+    from score import plan
+
+    (recipe,) = (recipe for recipe in plan.plan(plan.counts(340), 999640) if recipe.seed == 999865)
+    path, truth = generate.make(recipe, tmp_path)
+    first = report_mapping(explain(str(path)))["effects"][0]
+    assert (first["name"], first["joint"]) == ("backlash", 1)
+    (true,) = truth["effects"]
+    assert first["parameters"]["gap"]["value"] == pytest.approx(true["parameters"]["gap"], rel=0.05)
+
+
+@pytest.mark.thorough
 def test_a_payload_is_named_beside_a_current_limit_that_is_in_use(tmp_path):
     """A development record: the limit gains twenty thousand times as much as the payload beside it."""
     pytest.importorskip("mujoco")

@@ -127,6 +127,6 @@ class Screening:
     #: its candidates lie where a residual has them: that of the fitted model rather than of filtered motion
     placed: bool = False
     fast: bool = False  #: its columns are made of accelerations or rates of voltage, which may be noise
-    #: (signals, joint 0-based) -> its candidates, of coefficient 1 and without columns, that the screening of the
+    #: (signals, joint 0-based) -> further candidates, of coefficient 1 and without columns, that the screening of the
     #: innovations runs in the model: a light rotor does not move as the columns have it. None: it goes by the columns
     runs: Callable[[Signals, int], list[Candidate]] | None = None
