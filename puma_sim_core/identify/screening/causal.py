@@ -239,14 +239,17 @@ class CausalScreen:
 
     def pairs(self, kind: Kind, joint: int | None) -> list[tuple[Candidate, Columns]]:
         """The candidates of a hypothesis with their columns; joint 1-based, None for the whole arm."""
-        found = [(c, self.columns(c)) for c in candidates(kind, joint, self.signals)]
         if (runs := screening_of(kind).runs) is None or joint is None:
-            return found
+            return self._by_columns(kind, joint)
         if (kind.name, joint) not in self._ran:
-            self._ran[kind.name, joint] = self._in_model(kind, joint, runs(self.signals, joint - 1))
-        # about parameters that a wide gap has stretched, a run with one is no better than with none: columns, of the
-        # measured motion, are, where the rotor is not light
-        return [*found, *self._ran[kind.name, joint]]
+            # about parameters that a wide gap has stretched, a run with one is no better than with none: columns, of
+            # the measured motion, are, where the rotor is not light
+            ran = self._in_model(kind, joint, runs(self.signals, joint - 1))
+            self._ran[kind.name, joint] = [*self._by_columns(kind, joint), *ran]
+        return self._ran[kind.name, joint]
+
+    def _by_columns(self, kind: Kind, joint: int | None) -> list[tuple[Candidate, Columns]]:
+        return [(c, self.columns(c)) for c in candidates(kind, joint, self.signals)]
 
     def _in_model(self, kind: Kind, joint: int, found: Sequence[Candidate]) -> list[tuple[Candidate, Columns]]:
         """Candidates of coefficient 1, each with what a run of the model with it takes from the innovations; those that
