@@ -50,7 +50,7 @@ class CausalScreen:
         self.errors = errors
         self._spectra: dict[tuple[int, int, int], tuple[int, Complexes]] = {}
         self._foldings: dict[tuple[int, int, int], tuple[int, Complexes]] = {}
-        self._ran: dict[Key, list[tuple[Candidate, Columns]]] = {}
+        self._two_mass: dict[Key, list[tuple[Candidate, Columns]]] = {}
         rows = fit.rows
         self.J = errors.shape[1]
         self.lengths = self.predictor.lengths
@@ -241,12 +241,12 @@ class CausalScreen:
         """The candidates of a hypothesis with their columns; joint 1-based, None for the whole arm."""
         if (runs := screening_of(kind).runs) is None or joint is None:
             return self._by_columns(kind, joint)
-        if (kind.name, joint) not in self._ran:
+        if (kind.name, joint) not in self._two_mass:
             # about parameters that a wide gap has stretched, a run with one is no better than with none: columns, of
             # the measured motion, are, where the rotor is not light
             ran = self._in_model(kind, joint, runs(self.signals, joint - 1))
-            self._ran[kind.name, joint] = [*self._by_columns(kind, joint), *ran]
-        return self._ran[kind.name, joint]
+            self._two_mass[kind.name, joint] = [*self._by_columns(kind, joint), *ran]
+        return self._two_mass[kind.name, joint]
 
     def _by_columns(self, kind: Kind, joint: int | None) -> list[tuple[Candidate, Columns]]:
         return [(c, self.columns(c)) for c in candidates(kind, joint, self.signals)]
