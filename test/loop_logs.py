@@ -17,11 +17,14 @@ STEP, SECONDS = 2e-3, 10.0
 START = [0.1, -0.9, 1.1]
 
 
-def record(mechanism, plant, volts=0.0, noise=0.0, enable=None, seconds=SECONDS, unlogged=None, correlation=0.0):
+def record(
+    mechanism, plant, volts=0.0, noise=0.0, enable=None, seconds=SECONDS, unlogged=None, correlation=0.0, time=None
+):
     """A log of a plant with noise of the voltage [V], white or with a correlation time [s], and white noise of the
-    positions; unlogged: function of (time, state of the simulator) -> (J,) [V] more that the plant gets."""
+    positions; unlogged: function of (time, state of the simulator) -> (J,) [V] more that the plant gets in an even log;
+    time: that of the rows [s]."""
     J, rng = mechanism.joints, np.random.default_rng(3)
-    time = np.arange(0.0, seconds, STEP)
+    time = np.arange(0.0, seconds, STEP) if time is None else time
     voltage = sum(a * np.sin(w * time[:, None] + w * np.arange(J)) for a, w in ((3.0, 2.1), (2.0, 5.3)))
     simulator = Simulator(plant, max_step=1e-3)
     simulator.reset(START[:J])

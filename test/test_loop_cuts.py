@@ -45,7 +45,7 @@ def test_parts_are_the_rows_between_those_without_a_number(places, width):
     assert found.parts and not found.faults
     used = np.zeros(len(log), dtype=bool)
     for part in found.parts:
-        rows = slice(part.row(0) - 1, part.row(0) - 1 + len(part))
+        rows = part.rows - 1
         assert np.array_equal(part.time, log.time[rows]) and np.array_equal(part.voltage, log.voltage[rows])
         assert not used[rows].any()
         used[rows] = True
@@ -53,6 +53,37 @@ def test_parts_are_the_rows_between_those_without_a_number(places, width):
         # a stretch is used from end to end, unless it is too short for a motion
         assert used[first:end].all() or (not used[first:end].any() and end - first <= 500)
     assert not (used & bad).any()
+
+
+def test_few_rows_that_are_gone_do_not_split_a_log(log):
+    position, rows = log.position.copy(), np.delete(np.arange(5000), [800, 1600, 1601, 3000])
+    position[2000] = np.nan
+    position[2500:2503] = np.nan
+    repeated = np.insert(rows, 900, rows[899])
+    found = check(with_rows(replace(log, position=position), repeated), PENDULUM)
+    (part,) = found.parts
+    assert np.array_equal(part.time, log.time[np.delete(rows, np.searchsorted(rows, [2000, 2500, 2501, 2502]))])
+    assert np.flatnonzero(np.diff(part.rows) > 1).tolist() == [899, 1996, 2495]
+    assert {(cut.channel, cut.row, cut.rows) for cut in found.cuts} == {("time", 901, 1), ("position1", 1998 + 1, 1)}
+    assert "Rows are missing or late in 5 places: up to 0.008 s, with rows every 0.002 s." in found.notes
+    # four in a row are more than a motion of 60 Hz can be followed over
+    position[2503] = np.nan
+    assert len(check(replace(log, position=position), PENDULUM).parts) == 2
+
+
+def test_what_is_left_between_many_rows_that_are_gone_is_no_log(log):
+    # the other four rows of five have voltages that the machine got, and no time
+    found = check(
+        replace(log, time=0.01 * np.floor(log.time / 0.01 + 1e-9) + np.where(log.time > 5.0, 0.003, 0.0)), PENDULUM
+    )
+    assert not found.parts and {fault.channel for fault in found.faults} == {"time"}
+
+
+def test_a_jump_of_the_motion_splits_a_log_however_short(log):
+    time = log.time.copy()
+    time[3000:] -= 0.04
+    found = check(with_rows(replace(log, time=time), np.r_[0:3000, 3021:5000]), PENDULUM)
+    assert [part.row(0) for part in found.parts] == [1, 3001], found.cuts
 
 
 def test_a_gap_splits_a_log_and_loses_no_row(log):
@@ -72,11 +103,12 @@ def test_clocks_that_begin_again_are_two_parts(log):
 
 def test_a_log_with_little_left_is_refused_and_says_how_much_is_needed(log):
     position = log.position.copy()
-    position[::150] = np.nan
+    for row in range(5):
+        position[row::150] = np.nan
     found = check(replace(log, position=position), PENDULUM)
     assert not found.parts and {fault.channel for fault in found.faults} == {"position1", "time"}
     assert "33 more" in found.faults[0].what
-    assert "149 rows over 0.296 s" in found.faults[1].what and "1 s at least" in found.faults[1].what
+    assert "145 rows over 0.288 s" in found.faults[1].what and "1 s at least" in found.faults[1].what
 
 
 def test_stamps_that_stand_still_from_some_row_on_are_left_out(log):
@@ -93,6 +125,18 @@ def test_a_channel_that_nothing_needs_may_have_rows_without_a_number(log):
     current = np.full_like(log.position, np.nan)
     found = check(replace(log, current=current), PENDULUM)
     assert not found.cuts and found.parts[0].current is None and "current" in found.notes[0]
+
+
+@pytest.mark.long
+def test_single_rows_may_be_gone_all_over_a_log(log):
+    """Split at each of them, such a log had no part of a second, and was refused."""
+    position = log.position.copy()
+    position[::150] = np.nan
+    found, whole = (explain(each, plant="pendulum") for each in (replace(log, position=position), log))
+    (effect,), (of_whole,) = found.effects, whole.effects
+    assert effect.name == of_whole.name == "coulomb_friction" and found.verdict == whole.verdict
+    torque, expected = effect.parameters["torque"], of_whole.parameters["torque"]
+    assert abs(torque.value - expected.value) < 0.1 * (expected.high - expected.low)
 
 
 @pytest.mark.long

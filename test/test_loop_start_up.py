@@ -20,14 +20,14 @@ STEP = 0.01
 PENDULUM = load_mechanism("pendulum")
 
 
-def held(*sizes, begin=0.0, place=0.0, rows=600, joint=1, joints=2, first=0):
+def held(*sizes, begin=0.0, place=0.0, rows=600, joint=1, joints=2, first=1):
     """What is left out of logs whose innovations are so many times as large, from a time until so many seconds."""
     logs, errors = [], []
     for n, (size, until) in enumerate(sizes):
         time = 3.0 + STEP * np.arange(rows + 1)
         blank = np.zeros((rows + 1, joints))
         position = np.where(time[:, None] - time[0] < until, place, blank)
-        logs.append(Log(f"log{n}", time, blank, position, first=first))
+        logs.append(Log(f"log{n}", time, blank, position, rows=first + np.arange(rows + 1)))
         e = np.random.default_rng(n).standard_normal((rows, joints))
         passed = time[1:] - time[0]
         e[(passed >= begin) & (passed < until), joint] *= size
@@ -59,7 +59,7 @@ def test_what_may_be_chance_or_an_effect_is_no_start(size, until):
 
 
 def test_a_part_behind_a_gap_has_no_start_of_its_own():
-    assert held((20.0, 0.5), first=40) == [None]
+    assert held((20.0, 0.5), first=41) == [None]
 
 
 def test_a_start_in_a_place_that_the_log_does_not_come_to_again_stays():

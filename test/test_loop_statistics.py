@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal
 
 from puma_sim_core.identify.data import filters
 from puma_sim_core.identify.data.log import Log
-from puma_sim_core.identify.data.sampling import resting, sample
+from puma_sim_core.identify.data.sampling import on_grid, resting, sample
 from puma_sim_core.identify.fitting.point import Point
 from puma_sim_core.identify.fitting.prediction import PredictionFit
 from puma_sim_core.identify.fitting.predictor import Predictor
@@ -93,6 +93,30 @@ def test_uneven_logs_and_even_ones_give_the_same_motion():
         assert np.abs(s.velocity[:, 0] - 2.0 * np.cos(2.0 * s.time))[inside].max() < bound
         # the mean of a held voltage lags by half a row, which the grid makes good
         assert np.abs(s.voltage[:, 0] - np.cos(s.time))[inside].max() < 6e-3
+
+
+def test_rows_that_are_missing_are_filled_in_and_rows_that_are_late_move_no_other():
+    rng, step = np.random.default_rng(4), 2e-3
+    q = np.sin(9.0 * step * np.arange(2500.0))[:, None] + 1e-4 * rng.standard_normal((2500, 1))
+    volts = rng.standard_normal((2500, 1))
+    even = Log("even", step * np.arange(2500.0), volts, q)
+    whole, kept = on_grid(even, step), np.delete(np.arange(2500), [500, 1200, 1201])
+    found = on_grid(even.part(kept), step)
+    np.testing.assert_allclose(found.time, whole.time, atol=1e-12)
+    there = kept[1:] - 1
+    np.testing.assert_array_equal(found.position[there], whole.position[there])
+    assert np.abs(found.position - whole.position).max() < 1e-3
+    held = np.delete(there, np.searchsorted(there, [499, 500, 1199, 1200, 1201]))
+    np.testing.assert_array_equal(found.voltage[held], whole.voltage[held])
+    # the first rows come late: the grid lies on all others, and so keeps their noise
+    late = Log("late", np.r_[0.0, np.cumsum(np.r_[np.full(5, 3.3e-3), np.full(2494, step)])], volts, q)
+    found = on_grid(late, step)
+    rows = np.round(np.interp(found.time, late.time, np.arange(2500.0))).astype(int)
+    assert (
+        np.abs(found.position - late.position[rows])[10:].max()
+        < 1e-6
+        < np.abs(np.diff(late.position, 3, axis=0)).mean()
+    )
 
 
 @pytest.mark.parametrize("later", [0.0, 1000.0, 1.7e9])

@@ -3,15 +3,15 @@
 
 In order: numbers that are missing, and time stamps; a motion that the drives did not make; channels that are not what
 they are called; rows and runs that no drive can make; a log of another plant. Each check presupposes those before it. A
-log is split where rows are left out or time is missing, and each part is checked again by itself; whole channels are
-judged by the longest part. Rows count from 1, the first row of numbers; a fault of a whole channel has none.
+log is split where more time is missing than the motion between two rows can be followed over, and each part is checked
+again by itself; whole channels are judged by the longest part. Rows count from 1, the first row of numbers; a fault of
+a whole channel has none.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from puma_sim_core.identify.checks.row_faults import (
     frozen_positions,
     frozen_voltages,
     jitter_faults,
+    longest_gap,
     number_faults,
     position_faults,
     time_faults,
@@ -30,6 +31,7 @@ from puma_sim_core.identify.checks.row_faults import (
 )
 from puma_sim_core.identify.checks.undriven import undriven
 from puma_sim_core.identify.data.coarse_clock import evenly_stamped
+from puma_sim_core.identify.data.late_stamps import read_in_time
 from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.data.sampling import shortest_span
 from puma_sim_core.identify.result import Fault
@@ -59,7 +61,7 @@ class Checked:
 def check(log: Log, mechanism: Mechanism) -> Checked:
     """Find the rows of a log that can be used."""
     model = Plausibility(mechanism)
-    whole, notes = _complete(evenly_stamped(log))
+    whole, notes = _complete(read_in_time(evenly_stamped(log)))
     parts: list[Log] = [whole]
     cuts: list[Fault] = []
     for of_rows, find in _STAGES if mechanism.links_known else _OF_SENSORS:
@@ -70,7 +72,7 @@ def check(log: Log, mechanism: Mechanism) -> Checked:
             faults = find(max(parts, key=len), model)
         if faults:
             return Checked((), tuple(first_of_each(cuts)), tuple(faults), tuple(notes))
-    notes += _still(parts, mechanism)
+    notes += [*_bridged(parts), *_still(parts, mechanism)]
     doubts = _coarsely(_of_another_plant)(max(parts, key=len), model) if mechanism.links_known else []
     return Checked(tuple(parts), tuple(first_of_each(cuts)), (), tuple(notes), tuple(doubts))
 
@@ -109,20 +111,18 @@ def _cut(parts: Sequence[Log], find: Finder, model: Plausibility) -> tuple[list[
 
 
 def _without(part: Log, faults: Sequence[Fault]) -> list[Log]:
-    """What is left of a part between rows that cannot be used."""
-    bad, starts = np.zeros(len(part), dtype=bool), np.zeros(len(part), dtype=bool)
+    """What is left of a part without rows that cannot be used, split where too much time is between two rows."""
+    bad, edges = np.zeros(len(part), dtype=bool), np.zeros(len(part), dtype=np.int64)
     for fault in faults:
-        row = (fault.row or 1) - part.row(0)
+        row = int(np.searchsorted(part.rows, fault.row or 1))
         bad[row : row + fault.rows] = True
-        starts[row] = True
-    edges = np.flatnonzero(starts).tolist()
-    return [part.part(slice(*ends)) for run in runs(~bad) for ends in _between(*run, edges)]
-
-
-def _between(first: int, end: int, edges: Sequence[int]) -> list[tuple[int, int]]:
-    """(first, end) of the stretches of some rows between edges."""
-    inside = [first, *(edge for edge in edges if first < edge < end), end]
-    return list(pairwise(inside))
+        edges[row] += fault.rows == 0
+    kept = np.flatnonzero(~bad)
+    away, edge = np.diff(part.time[kept]), np.diff(np.cumsum(edges)[kept]) > 0
+    # where many rows are left out, those that are not do not tell what the drives got between them
+    near = (away > 0.0) & (away <= longest_gap(part)) & (bad.mean() <= CHECKS.row_even_share)
+    apart = edge | ((np.diff(kept) > 1) & ~near)
+    return [part.part(rows) for rows in np.split(kept, np.flatnonzero(apart) + 1) if len(rows)]
 
 
 def _numbers_and_times(part: Log, _: Plausibility) -> list[Fault]:
@@ -200,6 +200,17 @@ def _outside(log: Log, model: Plausibility) -> list[Fault]:
             expected = f"{low:.4g} to {high:.4g} {mechanism.position_unit}"
             found.append(Fault.of(f"position{j + 1}", None if whole else log.row(r), what, expected, end - r))
     return found
+
+
+def _bridged(parts: Sequence[Log]) -> list[str]:
+    """A note on the places of a log where a row is missing or late, and the motion is followed over it."""
+    steps = np.concatenate([np.diff(part.time) for part in parts])
+    middle = float(np.median(steps))
+    longer = steps[steps > CHECKS.row_missing * middle]
+    if not 0 < len(longer) < CHECKS.row_even_share * len(steps):
+        return []
+    where = f"{len(longer)} places" if len(longer) > 1 else "one place"
+    return [f"Rows are missing or late in {where}: up to {longer.max():.3g} s, with rows every {middle:.3g} s."]
 
 
 def _still(parts: Sequence[Log], mechanism: Mechanism) -> list[str]:

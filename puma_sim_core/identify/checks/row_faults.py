@@ -13,9 +13,11 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from puma_sim_core.identify.arrays import Bools, Floats, Ints, runs
 from puma_sim_core.identify.checks.plausibility import Coarse, Plausibility, soft_threshold
+from puma_sim_core.identify.data.late_stamps import bends, scales
 from puma_sim_core.identify.data.log import Log
+from puma_sim_core.identify.data.sampling import cutoffs
 from puma_sim_core.identify.result import Fault
-from puma_sim_core.identify.settings import CHECKS, FITTING
+from puma_sim_core.identify.settings import CHECKS, DATA, FITTING
 from puma_sim_core.recording.column_names import units_of
 
 _MOTION = "a motion that the drive can make"
@@ -57,33 +59,42 @@ def time_faults(log: Log) -> list[Fault]:
         found.append(Fault.of("time", None, f"rows come every {middle:.3g} s", expected))
     if found or not middle:
         return found
-    limit = CHECKS.row_gap_even
-    if np.mean(np.abs(steps / middle - 1.0) > CHECKS.row_even) >= CHECKS.row_even_share:
-        limit = max(CHECKS.row_gap_uneven, CHECKS.row_gap_tail * float(np.quantile(steps, 0.99)) / middle)
-    for r in (np.flatnonzero(steps > limit * middle) + 1).tolist():
+    for r in (np.flatnonzero(steps > longest_gap(log)) + 1).tolist():
         missing = f"about {steps[r - 1] / middle - 1.0:.0f} rows"
         what = f"a gap of {steps[r - 1]:.4g} s before {log.place(r)}, {missing}"
         found.append(Fault.of("time", log.row(r), what, f"rows every {middle:.4g} s"))
     return found
 
 
+def longest_gap(log: Log) -> float:
+    """Longest time [s] between two rows of a log that its motion can be followed over, 0.0 without a step of time.
+
+    Rows of a motion below a cutoff may be half its period apart (Shannon 1949, Proc. IRE 37:10); an uneven clock has
+    longer steps by itself.
+    """
+    steps, middle = np.diff(log.time), log.step
+    if not middle:
+        return 0.0
+    limit = 0.5 / cutoffs(middle)[0]
+    if np.mean(np.abs(steps / middle - 1.0) > CHECKS.row_even) >= CHECKS.row_even_share:
+        usual = float(np.quantile(steps, 0.99))
+        limit = max(limit, CHECKS.row_gap_uneven * middle, CHECKS.row_gap_tail * usual)
+    return limit
+
+
 def jitter_faults(log: Log) -> list[Fault]:
     """Time stamps that jitter while the positions show an even clock."""
     steps = np.diff(log.time)
     middle = float(np.median(steps))
-    before, after, q = steps[:-1, None], steps[1:, None], log.position
-    uneven = np.abs(after - before) > CHECKS.row_even * middle
-    by_clock = q[1:-1] - (q[:-2] * after + q[2:] * before) / (before + after)
-    by_count = q[1:-1] - 0.5 * (q[:-2] + q[2:])
-    speed = np.abs(q[2:] - q[:-2]) / (before + after)
-    size = np.maximum(np.maximum(log.quantum, 0.7 * np.median(np.abs(by_count), axis=0)), 1e-12)
+    uneven = np.abs(np.diff(steps)) > CHECKS.row_even * middle
+    by_clock, by_count = (bends(time, log.position) / scales(log) for time in (log.time, np.arange(float(len(log)))))
     # where the two differ by more than the encoder's step; spikes are checked elsewhere
-    rows = (uneven & (0.5 * speed * np.abs(after - before) > size)).T
-    by_clock, by_count = (np.minimum((x / size).T[rows] ** 2, CHECKS.row_jitter_most) for x in (by_clock, by_count))
-    if len(by_clock) < CHECKS.row_jitter_rows or by_clock.mean() < CHECKS.row_jitter * by_count.mean():
+    rows = (uneven[:, None] & (np.abs(by_clock - by_count) > 1.0)).T
+    by_clock, by_count = (np.minimum(x.T[rows] ** 2, DATA.bend_most) for x in (by_clock, by_count))
+    if len(by_clock) < CHECKS.row_jitter_rows or by_clock.mean() < DATA.bend_ratio * by_count.mean():
         return []
     first = None if uneven.mean() > 0.5 else log.row(int(np.flatnonzero(uneven)[0]) + 1)
-    spread = 100.0 * float(np.std(after[uneven])) / middle
+    spread = 100.0 * float(np.std(steps[1:][uneven])) / middle
     what = f"the stamps jitter by {spread:.0f} % of a row while the positions move on evenly"
     return [Fault.of("time", first, what, "the times of the samples, or stamps of an even clock")]
 

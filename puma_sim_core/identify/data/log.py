@@ -12,7 +12,7 @@ from puma_sim_core.identify.arrays import Floats, Ints
 from puma_sim_core.identify.settings import DATA
 
 #: what has an entry for each row
-_BY_ROW = ("time", "voltage", "position", "velocity", "current", "setpoint", "link_position", "enable", "lines")
+_BY_ROW = ("time", "voltage", "position", "velocity", "current", "setpoint", "link_position", "enable", "lines", "rows")
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Log:
     link_position (n, J) : of the sensors on the link's side [rad or m], NaN of joints without; None without any.
     lines (n,) : line of each row in its file, None for a bag.
     quantum (J,) : step of the encoder in `position`, 0.0 where none can be seen.
-    notes : what was left out or changed, as sentences. first : rows before these in the log that they are a part of.
+    notes : what was left out or changed, as sentences. rows (n,) : number of each row in the log that was read, from 1.
     """
 
     name: str
@@ -39,11 +39,13 @@ class Log:
     lines: Ints | None = None
     quantum: Floats = field(default_factory=lambda: np.zeros(0))
     notes: tuple[str, ...] = ()
-    first: int = 0
+    rows: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def __post_init__(self) -> None:
         if len(self.quantum) == 0:
             object.__setattr__(self, "quantum", np.array([encoder_step(column) for column in self.position.T]))
+        if len(self.rows) != len(self.time):
+            object.__setattr__(self, "rows", np.arange(1, len(self.time) + 1))
 
     def __len__(self) -> int:
         return len(self.time)
@@ -72,13 +74,13 @@ class Log:
 
     def row(self, index: int) -> int:
         """Number of the row with an index from 0; rows of a log count from 1."""
-        return self.first + index + 1
+        return int(self.rows[index])
 
-    def part(self, rows: slice) -> Log:
-        """Some rows that follow each other, as a log."""
+    def part(self, rows: slice | Ints) -> Log:
+        """Some rows in their order, as a log."""
         own = {name: getattr(self, name) for name in _BY_ROW}
         taken: dict[str, Any] = {name: None if values is None else values[rows] for name, values in own.items()}
-        return replace(self, **taken, first=self.first + rows.indices(len(self))[0])
+        return replace(self, **taken)
 
     def place(self, index: int) -> str:
         """Row and, for a file, line of the row with an index from 0, for sentences."""

@@ -113,7 +113,7 @@ def changing(log: Log) -> Bools:
     return np.asarray(near[0] - near[1] > (1.0 + DATA.encoder_blurred) * log.quantum)
 
 
-def _cutoffs(step: float) -> tuple[float, float]:
+def cutoffs(step: float) -> tuple[float, float]:
     """Cutoffs [Hz] of the two filters for rows every `step` [s]."""
     first = min(DATA.sampling_first_cutoff, DATA.sampling_first_share / step)
     return first, min(DATA.sampling_second_cutoff, DATA.sampling_second_share * first)
@@ -121,7 +121,7 @@ def _cutoffs(step: float) -> tuple[float, float]:
 
 def shortest_span(step: float) -> float:
     """Time [s] that a log with rows every `step` [s] must last to be filtered."""
-    return 4.0 * sum(map(filters.edge, _cutoffs(step)))
+    return 4.0 * sum(map(filters.edge, cutoffs(step)))
 
 
 def sample(logs: Sequence[Log]) -> Sampled:
@@ -132,7 +132,7 @@ def sample(logs: Sequence[Log]) -> Sampled:
     RecordingError : a log that is too short for its filters.
     """
     step = float(np.median([float(np.median(np.diff(log.time))) for log in logs]))
-    first, second = _cutoffs(step)
+    first, second = cutoffs(step)
     shortest = shortest_span(step)
     for log in logs:
         if log.span < shortest:
@@ -175,18 +175,35 @@ def on_grid(log: Log, step: float) -> Grid:
     """A log at even times, `step` [s] apart."""
     enable = np.ones(log.voltage.shape) if log.enable is None else log.enable.astype(float)
     steps = (np.where(enable > 0.0, log.voltage, 0.0), enable)
-    if abs(np.diff(log.time) / step - 1.0).max() < DATA.sampling_even:
-        voltage, enable = (0.5 * (a[1:] + a[:-1]) for a in steps)
-        setpoint = None if log.setpoint is None else log.setpoint[1:]
-        return Grid(log.time[1:], voltage, enable, log.position[1:], setpoint)
+    apart = np.diff(log.time) / step
+    lasts = np.round(apart).astype(int)  # rows that each one holds for: more than one where some are missing
+    if lasts.min() > 0 and abs(apart - lasts).max() < DATA.sampling_even:
+        return _filled(log, steps, lasts)
     # from the first row on, so that a clock that began long before costs no digits
     begin, since = float(log.time[0]), log.time - log.time[0]
-    time = step * np.arange(1.0, int(since[-1] / step) - 1)
+    # where most rows come evenly, on these: between two rows their noise is smoothed
+    phase = float(np.angle(np.exp(2j * np.pi * since / step).sum())) % (2.0 * np.pi) / (2.0 * np.pi)
+    time = step * (phase + np.arange(1.0, int(since[-1] / step) - 1))
     voltage, enable = (_step_mean(since, a, time, step) for a in steps)
     # a drive whose mean is on but for the rounding of an integral was not switched
     enable = np.round(enable, DATA.enable_digits)
     setpoint = None if log.setpoint is None else _interpolated(time, since, log.setpoint)
     return Grid(begin + time, voltage, enable, Akima1DInterpolator(since, log.position, axis=0)(time), setpoint)
+
+
+def _filled(log: Log, steps: Sequence[Floats], lasts: Ints) -> Grid:
+    """An evenly stamped log, rows that are missing between two others filled in: the motion goes on smoothly, and
+    voltage and enable (n, J) hold. lasts (n - 1,) : steps of the grid to the next row."""
+    voltage, enable = (np.repeat(a, [*lasts, 1], axis=0) for a in steps)
+    voltage, enable = (0.5 * (a[1:] + a[:-1]) for a in (voltage, enable))
+    time, position, setpoint = log.time, log.position, log.setpoint
+    if lasts.max() > 1:
+        place = np.r_[0, np.cumsum(lasts)].astype(float)
+        at = np.arange(place[-1] + 1.0)
+        time = np.interp(at, place, log.time)
+        position = Akima1DInterpolator(place, log.position, axis=0)(at)
+        setpoint = None if log.setpoint is None else _interpolated(at, place, log.setpoint)
+    return Grid(time[1:], voltage, enable, position[1:], None if setpoint is None else setpoint[1:])
 
 
 def _interpolated(at: Floats, time: Floats, values: Floats) -> Floats:

@@ -100,8 +100,8 @@ class Checks:
 
     row_even_share: float = 0.05  #: share of the steps of an even clock that may be off
     row_even: float = 0.02  #: by more than this share of the middle one
-    row_gap_even: float = 1.5  #: a gap over the middle step of an even clock
-    row_gap_uneven: float = 3.0  #: and of another
+    row_missing: float = 1.5  #: a row is missing or late where a step is that many middle ones
+    row_gap_uneven: float = 3.0  #: a gap over the middle step of an uneven clock
     row_gap_tail: float = 2.5  #: and over the step that 99 % stay below
     row_slowest: float = 0.2  #: the longest middle step [s] that shows a joint's motion
     row_impact: float = 20.0  #: an impact, in nominal friction torques
@@ -116,9 +116,7 @@ class Checks:
     row_many_rows: int = 20  #: and least number of these
     row_back: float = 0.3  #: share of its height that a spike comes back to
     row_frozen_rows: int = 4  #: frozen rows of equal values before a jump
-    row_jitter: float = 1.5  #: squared bends over those by an even clock, of stamps that jitter
-    row_jitter_most: float = 100.0  #: greatest that counts, in encoder steps squared
-    row_jitter_rows: int = 30  #: least rows
+    row_jitter_rows: int = 30  #: least rows that show stamps that jitter
     #: a voltage's spike: over its bend, the nominal friction's volts, visible noise; over the others, no response
     row_volts: float = 4.0
     row_volts_unit: float = 5.0

@@ -21,6 +21,10 @@ class Data:
     clock_ticks: int = 30
     clock_moved: float = 0.5
 
+    bend_most: float = 100.0  #: greatest squared bend of a position that counts for a clock, in encoder steps squared
+    bend_ratio: float = 1.5  #: squared bends over those by another clock, where stamps are not the times of positions
+    late_gain: float = 16.0  #: nat by which rows that come late must show when positions were read, as a name must
+
     encoder_changes: int = 20  #: least changes of a position in which an encoder's step is found
     #: fewer show it where they are in at most this share of the rows: a reading without steps changes in every row
     encoder_repeated: float = 0.5
