@@ -43,6 +43,7 @@ def test_positions_of_the_begin_of_a_loop_are_taken_at_that_time(late):
     found = read_in_time(Log("log", begin[1:], volts, motion(begin[:-1]), setpoint=volts))
     if found.notes:
         np.testing.assert_array_equal(found.position, motion(found.time))
+        assert found.row(0) == 2
         # commands hold from their own stamp on
         np.testing.assert_array_equal(found.voltage, volts[:-1])
         np.testing.assert_array_equal(found.setpoint, volts[:-1])

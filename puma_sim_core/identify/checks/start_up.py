@@ -29,8 +29,8 @@ def held_starts(logs: Sequence[Log], predictor: Predictor, errors: Floats) -> li
 
 def _held_start(log: Log, time: Floats, errors: Floats) -> Fault | None:
     begin = float(log.time[0])
-    # a part behind a gap has no start of its own
-    if log.row(0) > 1 or time[-1] - begin < CHECKS.start_longest + CHECKS.start_beside:
+    # a part behind a gap has no start of its own; positions that are stamped late begin with the second row
+    if log.row(0) > 2 or time[-1] - begin < CHECKS.start_longest + CHECKS.start_beside:
         return None
     held = [(until, j) for j, until in enumerate(_until(time - begin, errors)) if until > FITTING.settling_time]
     if not held:

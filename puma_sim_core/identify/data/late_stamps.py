@@ -15,8 +15,8 @@ from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.settings import DATA
 
-#: what is read together with a position
-_READ = ("position", "velocity", "current", "link_position")
+#: what is read together with a position, and the numbers by which rows are called
+_READ = ("position", "velocity", "current", "link_position", "lines", "rows")
 
 
 def bends(time: Floats, position: Floats) -> Floats:
@@ -55,6 +55,6 @@ def read_in_time(log: Log) -> Log:
     read = {name: values[1:] for name in _READ if (values := getattr(log, name)) is not None}
     note = (
         f"time: {np.count_nonzero(told.any(axis=1))} rows that came late show that positions are read at the begin of "
-        "a row whose stamp is taken at its end. Each is taken at the stamp of the row before."
+        "a row whose stamp is taken at its end. Each is taken at the stamp of the row before; rows count by positions."
     )
     return replace(log.part(slice(len(log) - 1)), **read, notes=(*log.notes, note))
