@@ -29,6 +29,12 @@ def log() -> Log:
     return of_friction()
 
 
+@pytest.fixture(scope="module")
+def whole(log):
+    """The explanation of the log with all its rows."""
+    return explain(log, plant="pendulum")
+
+
 def with_rows(log: Log, rows: np.ndarray) -> Log:
     """Some rows of a log, as a file that lacks the others."""
     return replace(log, time=log.time[rows], voltage=log.voltage[rows], position=log.position[rows])
@@ -128,11 +134,11 @@ def test_a_channel_that_nothing_needs_may_have_rows_without_a_number(log):
 
 
 @pytest.mark.long
-def test_single_rows_may_be_gone_all_over_a_log(log):
+def test_single_rows_may_be_gone_all_over_a_log(log, whole):
     """Split at each of them, such a log had no part of a second, and was refused."""
     position = log.position.copy()
     position[::150] = np.nan
-    found, whole = (explain(each, plant="pendulum") for each in (replace(log, position=position), log))
+    found = explain(replace(log, position=position), plant="pendulum")
     (effect,), (of_whole,) = found.effects, whole.effects
     assert effect.name == of_whole.name == "coulomb_friction" and found.verdict == whole.verdict
     torque, expected = effect.parameters["torque"], of_whole.parameters["torque"]
@@ -140,14 +146,14 @@ def test_single_rows_may_be_gone_all_over_a_log(log):
 
 
 @pytest.mark.long
-def test_the_same_answer_with_rows_lost(log):
+def test_the_same_answer_with_rows_lost(log, whole):
     rows = np.r_[0:1400, 1412:5000]
     hurt = with_rows(log, rows)
     position = hurt.position.copy()
     position[3000:3003] = np.nan
     position[3700] += 0.4
     hurt = replace(hurt, position=position, name="hurt")
-    whole, cut = explain(log, plant="pendulum"), explain(hurt, plant="pendulum")
+    cut = explain(hurt, plant="pendulum")
     assert {(fault.channel, fault.row, fault.rows) for fault in cut.cuts} == {("time", 1401, 0), ("position1", 3001, 3)}
     assert "1 more" in next(fault.what for fault in cut.cuts if fault.channel == "position1")
     for found in (whole, cut):

@@ -69,6 +69,7 @@ def test_the_pendulum_lacks_friction_by_the_torque_that_its_gear_transmits():
     assert np.mean(list(errors.values())) < 1.3 * LOADED
 
 
+@pytest.mark.thorough
 def test_emps_lacks_friction_that_differs_by_direction():
     path = Path(DATA, "emps", "emps_train.csv")
     found = explain(str(path), plant="slide", columns=EMPS)
