@@ -73,7 +73,7 @@ def test_what_is_there_lowers_the_error_and_what_is_not_does_not():
     "more, densities, better, as_good",
     [
         ([-1.0, -1.1, -0.9, -1.0], [-5.0], True, True),  # less error in the windows
-        ([1.0, 1.1, 0.9, 1.0], [5.0], False, False),  # more of it, beyond two standard errors
+        ([1.0, 1.1, 0.9, 1.0], [5.0, -6.0], False, False),  # more of it, beyond two standard errors
         ([3.0, -1.0, -1.0, 0.0], [5.0], True, True),  # more of it, within two: the density decides
         ([3.0, -1.0, -1.0, 0.0], [-5.0], False, False),
         ([3.0, -1.0, -1.0, 0.0], [-5.0, 1.0, 2.0, 1.0], False, True),  # less of it, by chance
@@ -93,6 +93,28 @@ def test_windows_decide_beyond_two_standard_errors_and_else_the_density(monkeypa
     monkeypatch.setattr(folds, "_densities", lambda model, points: found[model.name])
     assert folds.better(one, other) is better
     assert folds.better(one, other, as_good=True) is as_good
+
+
+@pytest.mark.parametrize(
+    "of_effects, densities, better",
+    [
+        (9.0, [5.0, 6.0, 5.0, 5.0], True),  # with the other parameters the effects predict better
+        (11.0, [5.0, 6.0, 5.0, 5.0], False),  # nor with these
+        (9.0, [5.0, -6.0, 5.0, -1.0], False),  # the density is greater by chance
+    ],
+)
+def test_where_windows_and_density_contradict_each_other_the_effects_decide(monkeypatch, of_effects, densities, better):
+    """Seen on a blind record: a gap of 3 mrad had 6232 nat in the folds, and its fit parameters 3.5 deviations off."""
+    folds = CrossValidation([None] * 4)
+    models = {"one": Point("astray", ("gap",)), "other": Point("right", ())}
+    squares = {("astray", ("gap",)): 12.0, ("right", ()): 10.0, ("right", ("gap",)): of_effects}
+    found = {"one": np.array(densities), "other": np.zeros(4)}
+    monkeypatch.setattr(folds, "_points", lambda model: [models[model.name]] * 4)
+    monkeypatch.setattr(folds, "_window_square", lambda fold, point: squares[point.theta, point.effects])
+    monkeypatch.setattr(folds, "_densities", lambda model, points: found[model.name])
+    one, other = SimpleNamespace(name="one"), SimpleNamespace(name="other")
+    assert folds.better(one, other) is folds.better(one, other, as_good=True) is better
+    assert folds.better(other, one)
 
 
 def test_in_a_noise_that_open_loop_errors_refute_a_density_must_be_greater_beyond_chance(monkeypatch):

@@ -93,21 +93,25 @@ class CrossValidation:
         """Whether a model predicts the folds better than another, or there is nothing to measure it at.
 
         By the mean over the folds of the squared errors in windows. Where it is greater by less than two of its
-        standard errors, by the log predictive density of the innovations. Both models have one weighting.
+        standard errors, by the log predictive density of the innovations. Where it is greater by more, and the density
+        is greater beyond chance nevertheless, the parameters may be at fault and not the effects: the other model with
+        the effects of the first decides then, by its windows. Both models have one weighting.
 
         noise_holds : whether the noise may be what the density takes it for; it is asked where the density would
         decide, and where it does not hold, the density must be greater beyond chance, by pieces of the folds; as_good :
         the model need not be better, but may be worse by chance alone.
         """
         one, other = self._points(model), self._points(than)
-        more = np.array([self._window_square(*pair) for pair in zip(self.folds, one)])
-        more -= [self._window_square(*pair) for pair in zip(self.folds, other)]
-        more = more[np.isfinite(more)]
-        if not len(more):
+        more = self._more_in_windows(one, other)
+        if not len(more) or more.mean() < 0.0:
             return True
         error = more.std(ddof=1) / np.sqrt(len(more)) if len(more) > 1 else 0.0
-        if more.mean() < 0.0 or more.mean() > SELECTION.standard_errors * error:
-            return bool(more.mean() < 0.0)
+        if more.mean() > SELECTION.standard_errors * error:
+            lost = self._densities(than, other) - self._densities(model, one)
+            if not np.isfinite(lost).all() or not clearly_above_zero(-lost):
+                return False
+            both = [Point(there.theta, here.effects) for here, there in zip(one, other)]
+            return bool(self._more_in_windows(both, other).mean() < 0.0)
         holds = noise_holds()
         if as_good and not holds:
             return True
@@ -117,6 +121,12 @@ class CrossValidation:
         if as_good:
             return not clearly_above_zero(lost)
         return float(lost.sum()) < 0.0 if holds else clearly_above_zero(-lost)
+
+    def _more_in_windows(self, points: Sequence[Point], others: Sequence[Point]) -> Floats:
+        """(k,) mean squares [rad^2 or m^2] in the windows of the folds that have any, less those of other points."""
+        more = np.array([self._window_square(*pair) for pair in zip(self.folds, points)])
+        more -= [self._window_square(*pair) for pair in zip(self.folds, others)]
+        return more[np.isfinite(more)]
 
     def _window_square(self, fold: Fold, point: Point) -> float:
         """Mean square [rad^2 or m^2] of the errors in the windows of a fold, of all joints; NaN without windows."""
