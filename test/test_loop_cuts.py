@@ -13,6 +13,7 @@ from puma_sim_core.effects import parse_effect
 from puma_sim_core.identify import explain
 from puma_sim_core.identify.arrays import runs
 from puma_sim_core.identify.checks.gate import check
+from puma_sim_core.identify.checks.row_faults import time_faults
 from puma_sim_core.identify.data.log import Log
 from puma_sim_core.plant.mechanism_file import load_mechanism
 
@@ -75,6 +76,16 @@ def test_few_rows_that_are_gone_do_not_split_a_log(log):
     # four in a row are more than a motion of 60 Hz can be followed over
     position[2503] = np.nan
     assert len(check(replace(log, position=position), PENDULUM).parts) == 2
+
+
+@pytest.mark.parametrize("step", [2e-4, 1e-3, 5e-3, 0.02, 0.1])
+def test_one_row_may_be_missing_at_any_rate(step):
+    gone = np.delete(np.arange(5000), [1200, 3100])
+    still = np.zeros((5000, 1))
+    log = Log("log", step * np.arange(5000.0), still, still)
+    assert not time_faults(with_rows(log, gone))
+    (fault,) = time_faults(with_rows(log, np.delete(gone, slice(3099, 3199))))
+    assert fault.row == 3100 and "about 101 rows" in fault.what
 
 
 def test_what_is_left_between_many_rows_that_are_gone_is_no_log(log):

@@ -69,13 +69,14 @@ def time_faults(log: Log) -> list[Fault]:
 def longest_gap(log: Log) -> float:
     """Longest time [s] between two rows of a log that its motion can be followed over, 0.0 without a step of time.
 
-    Rows of a motion below a cutoff may be half its period apart (Shannon 1949, Proc. IRE 37:10); an uneven clock has
-    longer steps by itself.
+    Rows of a motion below a cutoff may be half its period apart (Shannon 1949, Proc. IRE 37:10): below the first cutoff
+    where rows come that often, and below the second where one of them is missing. An uneven clock has longer steps by
+    itself.
     """
     steps, middle = np.diff(log.time), log.step
     if not middle:
         return 0.0
-    limit = 0.5 / cutoffs(middle)[0]
+    limit = max(0.5 / cutoffs(middle)[0], CHECKS.row_gap_even * middle)
     if np.mean(np.abs(steps / middle - 1.0) > CHECKS.row_even) >= CHECKS.row_even_share:
         usual = float(np.quantile(steps, 0.99))
         limit = max(limit, CHECKS.row_gap_uneven * middle, CHECKS.row_gap_tail * usual)

@@ -101,7 +101,10 @@ class Checks:
     row_even_share: float = 0.05  #: share of the steps of an even clock that may be off
     row_even: float = 0.02  #: by more than this share of the middle one
     row_missing: float = 1.5  #: a row is missing or late where a step is that many middle ones
-    row_gap_uneven: float = 3.0  #: a gap over the middle step of an uneven clock
+    #: a gap over the middle step of an even clock, and of an uneven one. One row may be missing: two steps show what is
+    #: below 0.25 of the rate of the rows, and the second cutoff is at most 0.126 of it
+    row_gap_even: float = 2.5
+    row_gap_uneven: float = 3.0
     row_gap_tail: float = 2.5  #: and over the step that 99 % stay below
     row_slowest: float = 0.2  #: the longest middle step [s] that shows a joint's motion
     row_impact: float = 20.0  #: an impact, in nominal friction torques
