@@ -247,6 +247,35 @@ def test_a_zero_with_a_deviation_is_a_parameter(part, tmp_path):
     assert_allclose(LinkageMechanism.of(again.body).start, theta)
 
 
+def test_the_zero_of_a_pendulum_is_that_of_a_shoulder():
+    mapping = linkage_mapping(load_mechanism("pendulum").body)
+    mapping["zero"] = {"value": 0.2, "unit": "rad", "deviation": 0.05}
+    lever = LinkageMechanism.of(read_linkage(mapping))
+    assert [p.name for p in lever.free][0] == "zero" and lever.start[0] == 0.2
+    assert not lever.possible("encoder_offset", 1)
+    body = {name: entry for name, entry in mapping["body"].items() if name not in ("gravity", "length")}
+    body |= {"centre": mapping["body"]["length"], "inertia": {"value": 0.0, "unit": "kg.m^2", "known": True}}
+    shoulder = {"link": body, **{key: mapping[key] for key in ("range", "torque_scale", "zero", "drive")}}
+    parts = {"gravity": mapping["body"]["gravity"], "shoulder": shoulder}
+    whole = LinkageMechanism.of(read_linkage({"format": mapping["format"], "name": "x", "kind": "linkage", **parts}))
+    theta = lever.start * (1.5, 1.1, 0.9, 1.2, 0.8)
+    runs = []
+    for machine in (lever, whole):
+        simulator = Simulator(machine.plant(theta))
+        simulator.reset((0.1,))
+        runs.append(simulator.run(np.arange(0.0, 1.0, 0.01), np.ones((100, 1))).position)
+    assert np.array_equal(*runs)
+    # written and read again, of a start of zero too
+    for value in (0.2, 0.0):
+        mapping["zero"]["value"] = value
+        read = read_linkage(mapping)
+        assert read_linkage(linkage_mapping(read)) == read
+    slide = linkage_mapping(load_mechanism("slide").body) | {"zero": mapping["zero"]}
+    with pytest.raises(ParameterError, match="zero: unknown key"):
+        read_linkage(slide)
+
+
+@pytest.mark.filterwarnings("error")
 def test_what_a_linkage_cannot_be():
     free = {"shoulder": (LEVEL_DOWN, 0.1)}
     with pytest.raises(ParameterError, match=r"shoulder\.zero\.deviation: beside a base and an elbow"):

@@ -262,6 +262,8 @@ def _least_eigenvalues(matrices: np.ndarray) -> np.ndarray:
     a, b, c = a - mean, b - mean, c - mean
     size = np.sqrt((a * a + b * b + c * c + 2.0 * (d * d + e * e + f * f)) / 6.0)
     half = 0.5 * (a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e))
-    cosine = np.clip(half / np.maximum(size, 1e-300) ** 3, -1.0, 1.0)
+    cube = size**3
+    # where all three are the same, any angle gives them
+    cosine = np.clip(half / np.where(cube > 0.0, cube, 1.0), -1.0, 1.0)
     lowest: np.ndarray = mean + 2.0 * size * np.cos((np.arccos(cosine) + 2.0 * np.pi) / 3.0)
     return lowest

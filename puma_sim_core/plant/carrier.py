@@ -63,7 +63,7 @@ def turn_of(linkage: Linkage, values: Mapping[str, Any]) -> tuple[Any, Any]:
     turn: list[Any] = [0.0, 0.0, 0.0]
     for axis, place in _places(linkage).items():
         if axis.moves and axis.place != BASE:
-            turn[place] = _angle(axis, place, values.get(f"{axis.place}.zero", axis.zero))
+            turn[place] = _angle(axis, place, values.get(linkage.zero_of(axis.place), axis.zero))
     return turn[1], turn[2]
 
 

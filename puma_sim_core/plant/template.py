@@ -30,6 +30,7 @@ _ZERO = {
     SHOULDER: "angle of the link at position 0, from hanging down: 1.5707963 is level, positive up; 3.1415927 upright",
     ELBOW: "angle of the link at position 0, from stretched",
 }
+_FITTED = "; with a deviation it is fitted, as where it is set by hand"
 
 
 def template(name: str, kind: str, drives: Mapping[str, str]) -> str:
@@ -64,6 +65,8 @@ def template(name: str, kind: str, drives: Mapping[str, str]) -> str:
 
 def _single(kind: str, amplifier: str) -> Iterator[str]:
     yield from _limits(kind, "")
+    if kind == "pendulum":
+        yield from _zero(SHOULDER, "", _FITTED)
     yield "body:"
     yield from _entries(body_quantities(kind), kind, "  ")
     yield from _drive(kind, amplifier, "")
@@ -90,14 +93,17 @@ def _several(drives: Mapping[str, str]) -> Iterator[str]:
         else:
             yield from _limits("linkage", "  ")
         if place in _ZERO:
-            fitted = "" if held else "; with a deviation it is fitted, as where it is set by hand"
-            yield f"  # {_ZERO[place]}{fitted}"
-            yield "  # zero: {value: 0.0, unit: rad}"
+            yield from _zero(place, "  ", "" if held else _FITTED)
         if not held or place != BASE:
             yield "  link:"
             yield from _entries(link_quantities(upright, ELBOW in drives, place), "linkage", "    ")
         if not held:
             yield from _drive("linkage", drives[place], "  ")
+
+
+def _zero(place: str, indent: str, further: str) -> Iterator[str]:
+    yield f"{indent}# {_ZERO[place]}{further}"
+    yield f"{indent}# zero: {{value: 0.0, unit: rad}}"
 
 
 def _limits(kind: str, indent: str) -> Iterator[str]:

@@ -44,7 +44,7 @@ class Axis:
     """An axis that a linkage has.
 
     place : of `PLACES`; amplifier : of `quantities.AMPLIFIERS`, or "held"; limits : range [rad or m]; torque_scale :
-    nominal friction [N.m or N]; zero [rad]: angle at position 0; zero_free : whether that is a parameter, AXIS.zero;
+    nominal friction [N.m or N]; zero [rad]: angle at position 0; zero_free : whether that is a parameter (`zero_of`);
     held : position [rad] of an axis that is held; link_sensor : that on the link's side, None without one.
     """
 
@@ -113,6 +113,10 @@ class Linkage:
         """name -> value of the numbers of the file."""
         return {p.name: p.value for p in self.parameters}
 
+    def zero_of(self, place: str) -> str:
+        """Name of the parameter that is the zero of an axis."""
+        return "zero" if self.kind in SINGLE else f"{place}.zero"
+
     def gravity(self, values: Mapping[str, Any]) -> Any:
         """Pull of gravity [m/s^2]."""
         return 0.0 if self.kind == "slide" else values.get("gravity", 9.81)
@@ -145,5 +149,5 @@ class Linkage:
             proportion = abs(value / p.value) if p.value else 1.0
             return replace(p, value=value, deviation=p.deviation * proportion)
 
-        axes = (replace(axis, zero=values.get(f"{axis.place}.zero", axis.zero)) for axis in self.axes)
+        axes = (replace(axis, zero=values.get(self.zero_of(axis.place), axis.zero)) for axis in self.axes)
         return replace(self, axes=tuple(axes), parameters=tuple(map(moved, self.parameters)))

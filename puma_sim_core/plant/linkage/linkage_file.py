@@ -40,7 +40,7 @@ _UPRIGHT = ("beside", "inertia_along", "inertia_across")
 #: the key of a second position sensor on the link's side
 SENSOR = "link_sensor"
 _WIDTHS = ("deviation", "relative_deviation", "known")
-_SINGLE_KEYS = ("format", "name", "kind", "range", "torque_scale", "body", "drive", SENSOR)
+_SINGLE_KEYS = ("format", "name", "kind", "range", "torque_scale", "zero", "body", "drive", SENSOR)
 #: no joint moves further [rad or m, or mm as m]; the checks of the masses walk over the range
 _WIDEST = 1e4
 #: angles of links are given within a turn, roughly [rad]
@@ -84,13 +84,18 @@ def body_quantities(kind: str) -> dict[str, Quantity]:
 
 
 def _single(reader: Reader, mapping: Any, kind: str) -> tuple[tuple[Axis, ...], tuple[MechanismParameter, ...]]:
-    reader.keys(mapping, "", _SINGLE_KEYS, optional=("format", SENSOR))
+    # where a slide counts from makes no difference to any force
+    keys = [key for key in _SINGLE_KEYS if key != "zero" or kind == "pendulum"]
+    reader.keys(mapping, "", keys, optional=("format", "zero", SENSOR))
     limits, scale, amplifier = moving(reader, mapping, "", kind)
+    zero, free = _zero(reader, mapping, "", "zero")
     parameters = (
+        *free,
         *_numbers(reader, mapping["body"], "body", body_quantities(kind), kind),
         *drive_numbers(reader, mapping["drive"], "drive", amplifier, kind),
     )
-    return (Axis(SHOULDER, amplifier, limits, scale, link_sensor=link_sensor(reader, mapping, "", kind)),), parameters
+    sensor = link_sensor(reader, mapping, "", kind)
+    return (Axis(SHOULDER, amplifier, limits, scale, zero, bool(free), link_sensor=sensor),), parameters
 
 
 def _several(reader: Reader, mapping: Any, kind: str) -> tuple[tuple[Axis, ...], tuple[MechanismParameter, ...]]:
@@ -132,14 +137,10 @@ def _axis(
     held = _is_held(entry)
     keys = [key for key in (_HELD_KEYS if held else _MOVING_KEYS) if key != "zero" or place != BASE]
     reader.keys(entry, place, keys, optional=("zero", "link") if held and place == BASE else ("zero", SENSOR))
-    numbers: list[MechanismParameter] = []
-    zero = 0.0
-    if "zero" in entry:
-        zero, deviation = _zero(reader, entry["zero"], f"{place}.zero")
-        if deviation and held:
-            reader.fail(f"{place}.zero.deviation", "of an axis that is held", "the deviation of an axis that moves")
-        if deviation:
-            numbers.append(MechanismParameter(f"{place}.zero", "rad", zero, deviation, False, False))
+    zero, free = _zero(reader, entry, f"{place}.", f"{place}.zero")
+    if free and held:
+        reader.fail(f"{place}.zero.deviation", "of an axis that is held", "the deviation of an axis that moves")
+    numbers = free[:]
     if "link" in entry:
         numbers += _numbers(reader, entry["link"], f"{place}.link", quantities, "linkage", f"{place}.")
     if held:
@@ -148,16 +149,23 @@ def _axis(
     limits, scale, amplifier = moving(reader, entry, f"{place}.", "linkage")
     numbers += drive_numbers(reader, entry["drive"], f"{place}.drive", amplifier, "linkage", f"{place}.")
     sensor = link_sensor(reader, entry, f"{place}.", "linkage")
-    free = bool(numbers) and numbers[0].name == f"{place}.zero"
-    return Axis(place, amplifier, limits, scale, zero, free, link_sensor=sensor), numbers
+    return Axis(place, amplifier, limits, scale, zero, bool(free), link_sensor=sensor), numbers
 
 
-def _zero(reader: Reader, entry: Any, key: str) -> tuple[float, float]:
-    """The angle at position 0 [rad] and its standard deviation, 0.0 where the file gives none."""
-    own = reader.entry(entry, key, "rad", further=("deviation",))
-    value = reader.number(own["value"], f"{key}.value", -_TURNED, _TURNED)
-    deviation = reader.number(own["deviation"], f"{key}.deviation", 1e-12, _TURNED) if "deviation" in own else 0.0
-    return value, deviation
+def _zero(reader: Reader, entry: Any, key: str, name: str) -> tuple[float, list[MechanismParameter]]:
+    """The angle at position 0 [rad] of an axis, and the parameter that it is where the file gives a deviation.
+
+    key : the prefix of the axis' keys; name : of the parameter.
+    """
+    if "zero" not in entry:
+        return 0.0, []
+    at = f"{key}zero"
+    own = reader.entry(entry["zero"], at, "rad", further=("deviation",))
+    value = reader.number(own["value"], f"{at}.value", -_TURNED, _TURNED)
+    if "deviation" not in own:
+        return value, []
+    deviation = reader.number(own["deviation"], f"{at}.deviation", 1e-12, _TURNED)
+    return value, [MechanismParameter(name, "rad", value, deviation, False, False)]
 
 
 def _is_held(entry: Any) -> bool:
@@ -266,25 +274,28 @@ def linkage_mapping(linkage: Linkage) -> dict[str, Any]:
             **({SENSOR: own} if own else {}),
         }
 
+    def zero(axis: Axis, key: str) -> dict[str, Any]:
+        name = linkage.zero_of(axis.place)
+        own = next(({"deviation": p.deviation} for p in linkage.parameters if p.name == name), {})
+        return {"zero": entry(f"{key}zero", axis.zero, "rad", **own)} if axis.zero or own else {}
+
     head: dict[str, Any] = {"format": MECHANISM_FORMAT, "name": linkage.name, "kind": linkage.kind}
     if linkage.kind in SINGLE:
         (axis,) = linkage.axes
         drive = {"amplifier": axis.amplifier, **group("drive", DRIVES[axis.amplifier])}
-        return {**head, **limits(axis, ""), "body": group("body", body_quantities(linkage.kind)), "drive": drive}
+        own = {**limits(axis, ""), **zero(axis, "")}
+        return {**head, **own, "body": group("body", body_quantities(linkage.kind)), "drive": drive}
     head |= {
         p.name: entry(p.name, p.value, p.unit, **({"known": True} if p.known else {"deviation": p.deviation}))
         for p in linkage.parameters
         if p.name == "gravity"
     }
     for axis in linkage.axes:
-        place, zero = axis.place, {}
-        if axis.zero or axis.zero_free:
-            widths = {p.name: {"deviation": p.deviation} for p in linkage.parameters}
-            zero = {"zero": entry(f"{place}.zero", axis.zero, "rad", **widths.get(f"{place}.zero", {}))}
+        place, own = axis.place, zero(axis, f"{axis.place}.")
         link = {"link": group(f"{place}.link", {**LINK, **BASE_LINK}, f"{place}.")}
         if axis.moves:
             drive = {"amplifier": axis.amplifier, **group(f"{place}.drive", DRIVES[axis.amplifier], f"{place}.")}
-            head[place] = {**limits(axis, f"{place}."), **zero, **link, "drive": drive}
+            head[place] = {**limits(axis, f"{place}."), **own, **link, "drive": drive}
         else:
-            head[place] = {HELD: entry(f"{place}.{HELD}", axis.held, "rad"), **zero, **(link if link["link"] else {})}
+            head[place] = {HELD: entry(f"{place}.{HELD}", axis.held, "rad"), **own, **(link if link["link"] else {})}
     return head
