@@ -251,7 +251,7 @@ def test_the_zero_of_a_pendulum_is_that_of_a_shoulder():
     mapping = linkage_mapping(load_mechanism("pendulum").body)
     mapping["zero"] = {"value": 0.2, "unit": "rad", "deviation": 0.05}
     lever = LinkageMechanism.of(read_linkage(mapping))
-    assert [p.name for p in lever.free][0] == "zero" and lever.start[0] == 0.2
+    assert next(p.name for p in lever.free) == "zero" and lever.start[0] == 0.2
     assert not lever.possible("encoder_offset", 1)
     body = {name: entry for name, entry in mapping["body"].items() if name not in ("gravity", "length")}
     body |= {"centre": mapping["body"]["length"], "inertia": {"value": 0.0, "unit": "kg.m^2", "known": True}}
