@@ -54,7 +54,9 @@ STICKING = effects("coulomb_friction:joint=1,torque=40", "coulomb_friction:joint
 LIMITED = effects(
     "current_limit:joint=2,current=1.5", "coulomb_friction:joint=1,torque=5", "voltage_offset:joint=3,voltage=0.3"
 )
-ALL = [(), ON_VOLTAGE, SLIDING, STICKING, LIMITED]
+#: voltages that arrive within a row, late by one and a half
+LATE = [(*effects("input_delay:time=0.00225"), *own) for own in (ON_VOLTAGE, STICKING, LIMITED)]
+ALL = [(), ON_VOLTAGE, SLIDING, STICKING, LIMITED, *LATE]
 #: what depends on more than the direction of motion: compiled lanes have it, arrays do not
 LANE_BY_LANE = [
     effects("stribeck_friction:joint=2,torque=3,sliding=4", "joint_spring:joint=3,stiffness=6"),
@@ -65,6 +67,7 @@ LANE_BY_LANE = [
         "friction_warm_up:joint=1,share=0.4,time_constant=0.2", "resistance_drift:joint=2,share=0.3,time_constant=1"
     ),
     effects("soft_stop:joint=3,lower=-0.5,upper=0.5", "current_limit:joint=2,current=1.5"),
+    effects("input_delay:time=0.00225", "stribeck_friction:joint=2,torque=3,sliding=4"),
 ]
 COMPILED = BACKEND == "numba"
 
@@ -198,6 +201,7 @@ def test_both_kernels_give_the_same_bits():
         ("coulomb_friction:joint=2,torque=3", True),
         ("current_limit:joint=2,current=3", True),
         ("voltage_dead_band:joint=1,voltage=0.5", True),
+        ("input_delay:time=0.002", True),
         ("stribeck_friction:joint=2,torque=3,sliding=2", COMPILED),
         ("presliding_friction:joint=1,torque=8", False),
         ("joint_elasticity:joint=2,stiffness=20000", False),
@@ -212,6 +216,11 @@ def test_models_side_by_side_have_the_same_stages():
     first, other = (ARM.plant(ARM.start, own) for own in (SLIDING, ON_VOLTAGE))
     assert goes_side_by_side(first, first) and goes_side_by_side(other, other)
     assert not goes_side_by_side(other, first)
+
+
+def test_models_side_by_side_have_the_same_delay():
+    first, same, other = (ARM.plant(ARM.start, effects(f"input_delay:time={t}")) for t in (0.002, 0.002, 0.003))
+    assert goes_side_by_side(same, first) and not goes_side_by_side(other, first)
 
 
 def test_a_model_that_does_not_stay_finite_leaves_the_others_as_they_are():

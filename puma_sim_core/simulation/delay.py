@@ -82,6 +82,28 @@ class Past:
         return Pieces(edges, volts[np.maximum(acts, 0)], row[: len(time)]), later
 
 
+class Measured(NamedTuple):
+    """Pieces of rows: their edges (k + 1,) [s], the voltages (k, 3) [V] that arrive, the row (k,) that each is of, and
+    the row (k,) at whose end it ends, -1 for a piece that ends within one."""
+
+    edges: np.ndarray
+    voltage: np.ndarray
+    row: np.ndarray
+    target: np.ndarray
+
+
+def measured_rows(past: Past, time: np.ndarray, voltage: np.ndarray) -> Measured:
+    """The pieces of rows that a motion is measured at, time (n + 1,) [s], with voltages (n, 3) [V] that arrive late."""
+    rows = np.arange(len(voltage))
+    if not past.delay:
+        return Measured(time, voltage, rows, rows)
+    pieces, _ = past.arriving(time, voltage)
+    target = np.full(len(pieces.voltage), -1)
+    target[pieces.row[1:] - 1] = rows
+    row = np.searchsorted(pieces.row, np.arange(len(target)), side="right") - 1
+    return Measured(pieces.time, pieces.voltage, np.clip(row, 0, len(rows) - 1), target)
+
+
 class SampledDelay:
     """The delay of a loop with samples of one length.
 

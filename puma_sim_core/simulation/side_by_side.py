@@ -18,6 +18,7 @@ from puma_sim_core.dynamics.types import STILL
 from puma_sim_core.effects.base import VOLTAGE, Effect
 from puma_sim_core.jit import BACKEND, interpreted
 from puma_sim_core.plant.plant import Plant
+from puma_sim_core.simulation.delay import delay_of, measured_rows
 from puma_sim_core.simulation.run_inputs import kernel_rows, native, rows_of
 from puma_sim_core.simulation.simulator import Simulator
 
@@ -31,11 +32,13 @@ LEAST_TOGETHER = LANES // 2 if BACKEND == "numba" else 16
 
 
 def goes_side_by_side(plant: Plant, first: Plant) -> bool:
-    """Whether a plant may be one of those of `innovations_side_by_side` beside the first: one with the same joints and
-    the same stages of the kernel, of those that lanes have."""
-    active = plant.constants.active
-    alike = plant.axes == first.axes and plant.rest == first.rest and active == first.constants.active
-    return alike and active & ~_STAGES == 0
+    """Whether a plant may be one of those of `innovations_side_by_side` beside the first: one with the same joints, the
+    same delay of the voltages, and the same stages of the kernel, of those that lanes have."""
+    active, table = plant.constants.active, plant.constants.table
+    if active & ~_STAGES or active != first.constants.active:
+        return False
+    alike = plant.axes == first.axes and plant.rest == first.rest
+    return alike and delay_of(active, table) == delay_of(active, first.constants.table)
 
 
 def _on_voltage(simulator: Simulator) -> tuple[Effect, ...]:
@@ -66,19 +69,19 @@ def innovations_side_by_side(
         numbers[LEVELS:DAMPING, lane] = bounds(tables[lane])
         _, damped = interpreted(with_damping)(simulator.state, STILL, model)
         numbers[DAMPING : DAMPING + 3, lane] = damped.drive[4::5]
-    edges, first = np.ascontiguousarray(time), simulators[0]
+    time, first = np.ascontiguousarray(time), simulators[0]
     plant, axes = first.plant, list(first.plant.axes)
-    volts = np.ascontiguousarray(plant.spread(voltage[:-1]))
-    rows = kernel_rows(volts, edges, np.diff(edges), first.max_step)
-    positions = np.tile(plant.rest, (len(edges) - 1, 1))
+    pieces = measured_rows(first.past, time, np.ascontiguousarray(plant.spread(voltage[:-1])))
+    rows = kernel_rows(pieces.voltage, pieces.edges, np.diff(pieces.edges), first.max_step)
+    positions = np.tile(plant.rest, (len(time) - 1, 1))
     positions[:, axes] = measured[1:]
-    seen, corrected = rows_of(positions), rows_of(np.ones(len(edges) - 1, dtype=bool))
-    given = (first.constants.active, rows, seen, corrected, native(plant.spread(gain.T).T.ravel().tolist()))
+    target, seen, corrected = map(rows_of, (pieces.target, positions, np.ones(len(positions), dtype=bool)))
+    given = (first.constants.active, rows, target, seen, corrected, native(plant.spread(gain.T).T.ravel().tolist()))
     alike = all(_on_voltage(simulator) == _on_voltage(first) for simulator in simulators)
     if not compiled:
         with np.errstate(over="ignore", invalid="ignore"):
             return list(follow_arrays(numbers, *given, tables, alike, finer, first.lock)[:, :, axes])
-    out = np.empty((LANES, len(edges) - 1, 3))
+    out = np.empty((LANES, len(positions), 3))
     follow_lanes(numbers.ravel(), *given, np.array(tables), alike, np.array(finer), first.lock, out)
     # of a whole arm without a copy
     return list(out[: len(simulators)] if plant.joints == 3 else out[: len(simulators)][:, :, axes])

@@ -62,6 +62,8 @@ class Simulator:
     plant : the arm and its effects.
     constraints : one `Constraint` a joint of the plant; free by default.
     max_step : greatest step of integration [s]; rows that hold longer are divided evenly.
+    train_rate : steps in a second [1/s] in which links that swing against their motors are followed, None: as many as
+    `Plant.least_rate`; without such links it does not matter.
     limits : what runs are checked against; none by default.
     on_limit : "report" gathers sentences in `exceeded`, "error" raises LimitError after a run.
 
@@ -81,6 +83,7 @@ class Simulator:
         *,
         constraints: Sequence[Constraint] | None = None,
         max_step: float = SERVO_PERIOD,
+        train_rate: float | None = None,
         limits: Limits | None = None,
         on_limit: str = "report",
     ):
@@ -100,8 +103,11 @@ class Simulator:
         if any(c.kind != "free" for c in self.constraints):
             active |= LOCKED
         self._compiled = runs_compiled(active)
+        numbers = constants.table
+        if train_rate is not None and plant.least_rate:
+            numbers = [*numbers[:-1], check_positive(train_rate, "train_rate")]
         #: constants of the plant as a run takes them, and the rows that constraints take out
-        self.constants = Constants(constants.model._replace(active=active), native(constants.table, self._compiled))
+        self.constants = Constants(constants.model._replace(active=active), native(numbers, self._compiled))
         self.lock = (
             *(0.0 if c.kind == "free" else 1.0 for c in self.constraints),
             *(c.value if c.kind == "acceleration" and c.value else 0.0 for c in self.constraints),

@@ -21,8 +21,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from puma_sim_core.dynamics.following import Track, follow, follow_trains
-from puma_sim_core.dynamics.laws import DELAYED, TWO_MASS
+from puma_sim_core.dynamics.laws import TWO_MASS
 from puma_sim_core.errors import NonFiniteStateError, ParameterError
+from puma_sim_core.simulation.delay import measured_rows
 from puma_sim_core.simulation.open_circuit import enabled
 from puma_sim_core.simulation.run_inputs import kernel_rows, native, rows_of
 from puma_sim_core.simulation.simulator import Simulator
@@ -69,21 +70,14 @@ def innovations(
     out[:, :3] = np.array(plant.rest)
     out[:, axes] = measured[1:]
     on = np.ones((n - 1, 3)) if enable is None else enabled(enable, n, plant.axes)[:-1].astype(float)
-    target, edges = np.arange(n - 1), time
-    active = simulator.constants.active
-    if active & DELAYED:
-        pieces, _ = simulator.past.arriving(time, volts)
-        edges, volts = pieces.time, pieces.voltage
-        target = np.full(len(volts), -1)
-        target[pieces.row[1:] - 1] = np.arange(n - 1)
-        on = on[np.clip(np.searchsorted(pieces.row, np.arange(len(volts)), side="right") - 1, 0, n - 2)]
     corrected = np.ones(n - 1, dtype=bool) if corrected is None else np.asarray(corrected, bool)
     if corrected.shape != (n - 1,):
         raise ParameterError(f"corrected {corrected.shape}", where="innovations", expected=f"({n - 1},)")
     gains = native(plant.spread(gain.T).T.ravel().tolist())
-    run = follow_trains if active & TWO_MASS else follow
-    rows = kernel_rows(volts, edges, np.diff(edges), simulator.max_step)
-    track = Track(rows_of(on), rows_of(target), rows_of(corrected), gains, parts)
+    run = follow_trains if simulator.constants.active & TWO_MASS else follow
+    pieces = measured_rows(simulator.past, time, volts)
+    rows = kernel_rows(pieces.voltage, pieces.edges, np.diff(pieces.edges), simulator.max_step)
+    track = Track(rows_of(on[pieces.row]), rows_of(pieces.target), rows_of(corrected), gains, parts)
     bad = run(simulator.whole, rows, track, simulator.constants, simulator.lock, out)
     if bad >= 0 or not np.isfinite(out).all():
         raise NonFiniteStateError(int(bad))

@@ -28,6 +28,7 @@ def follow_arrays(
     numbers: np.ndarray,
     active: int,
     rows: Rows,
+    target: Any,
     measured: Any,
     corrected: Any,
     gain: Any,
@@ -44,7 +45,7 @@ def follow_arrays(
     has_dry, near_limit = tuple(numbers[HAS_DRY : HAS_DRY + 3]), tuple(numbers[NEAR_LIMIT : NEAR_LIMIT + 3])
     body, drive = numbers[12:32], numbers[32:47]
     models = [Model(tuple(b), Drive(*d), active) for b, d in zip(body.T.tolist(), drive.T.tolist())]
-    out, since = np.empty((numbers.shape[1], len(rows.count), 3)), 0.0
+    out, since = np.empty((numbers.shape[1], len(measured), 3)), 0.0
     for r, n in enumerate(rows.count):
         h, t, before, alone = rows.step[r], rows.time[r], x, np.zeros(len(models), dtype=bool)
         volts = [terminals(rows.voltage, r, p) for p in (tables[:1] if alike else tables)]
@@ -58,15 +59,18 @@ def follow_arrays(
         for m in left:
             own, v = _column(before, m), volts[0 if alike else m]
             _put_column(x, m, _or_nan(row_alone, own, v, t, h, n, models[m], parts[m], tables[m], lock))
-        e = tuple(measured[r][j] - x[j] for j in range(3))
-        out[:, r] = np.transpose(e)
-        if not corrected[r]:
+        i = target[r]
+        if i < 0:
+            continue
+        e = tuple(measured[i][j] - x[j] for j in range(3))
+        out[:, i] = np.transpose(e)
+        over, since = since, 0.0
+        if not corrected[i]:
             continue
         slid, x = x, moved(x, e, gain)
         for m in left:
             own, seen, v = _column(slid, m), _column(e, m), volts[0 if alike else m]
-            _put_column(x, m, _or_nan(moved_alone, own, seen, v, since, t + n * h, gain, models[m], tables[m], lock))
-        since = 0.0
+            _put_column(x, m, _or_nan(moved_alone, own, seen, v, over, t + n * h, gain, models[m], tables[m], lock))
     return out
 
 

@@ -39,6 +39,7 @@ from puma_sim_core.dynamics.laws import (
     ALGEBRAIC,
     AT_REST,
     CURRENT_LIMIT,
+    DELAYED,
     DRY,
     LOCKED,
     UNBENT,
@@ -51,7 +52,7 @@ from puma_sim_core.dynamics.types import STILL, Model, Rows, State
 from puma_sim_core.jit import Table, Vec, compiled, fitting, inlined, outlined
 
 #: stages whose steps are vector instructions throughout: dry friction has one level for each direction
-SLIDING = DRY | CURRENT_LIMIT | ALGEBRAIC | LOCKED
+SLIDING = DRY | CURRENT_LIMIT | ALGEBRAIC | LOCKED | DELAYED
 #: stages that a model in a lane may have
 IN_LANES = SLIDING | LANE_BY_LANE
 #: share of its limit from which a current may meet it within a step
@@ -191,6 +192,7 @@ def follow_lanes(
     a: Table,
     active: int,
     rows: Rows,
+    target: Table,
     measured: Table,
     corrected: Table,
     gain: Table,
@@ -203,9 +205,9 @@ def follow_lanes(
     """Innovations of one group of LANES models that follow a measured motion.
 
     a : flat, FOLLOWED * LANES, the numbers of `places`, moved on; active : stages of all of them, of `IN_LANES`;
-    rows : commanded voltages and steps; measured (n, 3) [rad], at the ends of the rows; corrected (n,), gain (9,) and
-    parts (LANES,) as for `dynamics.following.Track`; tables (LANES, ...) : packed effects of each lane; alike : whether
-    those on the voltages are the same; lock : of all; out (LANES, n, 3): the innovations [rad].
+    rows : commanded voltages and steps; target (k,), of measured (n, 3) [rad], corrected (n,), gain (9,) and parts
+    (LANES,) as for `dynamics.following.Track`; tables (LANES, ...) : packed effects of each lane; alike : whether those
+    on the voltages are the same; lock : of all; out (LANES, n, 3): the innovations [rad].
     """
     since = 0.0
     for r in range(len(rows.count)):
@@ -228,17 +230,20 @@ def follow_lanes(
                 model = model_of(a, m, active)
                 x = row_alone(before_of(a, m), volts_of(a, m), t, h, n, model, parts[m], tables[m], lock)
                 put_state(a, m, x)
+        i = target[r]
+        if i < 0:
+            continue
         for j in range(3):
             for m in range(LANES):
-                out[m, r, j] = measured[r][j] - a[j * LANES + m]
-        if not corrected[r]:
+                out[m, i, j] = measured[i][j] - a[j * LANES + m]
+        over, since = since, 0.0
+        if not corrected[i]:
             continue
         end = t + n * h
         for m in range(LANES):
-            x, e = state_of(a, m), (out[m, r, 0], out[m, r, 1], out[m, r, 2])
+            x, e = state_of(a, m), (out[m, i, 0], out[m, i, 1], out[m, i, 2])
             if a[ALONE * LANES + m] != 0.0:
                 model, v = model_of(a, m, active), volts_of(a, m)
-                put_state(a, m, moved_alone(x, e, v, since, end, gain, model, tables[m], lock))
+                put_state(a, m, moved_alone(x, e, v, over, end, gain, model, tables[m], lock))
             else:
                 put_state(a, m, moved(x, e, gain))
-        since = 0.0

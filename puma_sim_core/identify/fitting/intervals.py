@@ -133,14 +133,18 @@ def _fitted_on(fit: PredictionFit, fitted: Fitted, k: int) -> Refit:
 
 
 def _fitted_anew(fit: PredictionFit, fitted: Fitted, k: int) -> Refit:
-    """Fits all but one parameter with derivatives of its own: a joint that its friction holds has none."""
+    """Fits all but one parameter with derivatives of its own: a joint that its friction holds has none. Two masses take
+    those by the mechanism's parameters over from the fit before."""
     others = tuple(pair for n, pair in enumerate(fitted.names) if n != k)
+    near: Floats | None = None
 
     def refit(at: Point) -> Fitted | None:
+        nonlocal near
         try:
-            return fit.to_end(at, others)[0]
+            moved, near = fit.to_end(at, others, near=near)
         except ParameterError:
             return None
+        return moved
 
     return refit
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy import fft
@@ -21,7 +22,7 @@ from puma_sim_core.identify.arrays import Bools, Floats, log_rows
 from puma_sim_core.identify.data import filters
 from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.data.sampling import changing
-from puma_sim_core.identify.fitting.steps import parts_of_steps, stable_step
+from puma_sim_core.identify.fitting.steps import followed_rate, parts_of_steps, stable_step
 from puma_sim_core.identify.noise.weighting import Weighting, folded_response
 from puma_sim_core.identify.remembered import Remembered
 from puma_sim_core.identify.settings import FITTING
@@ -49,6 +50,11 @@ class Stretch:
     fit: Bools
     validation: Bools
     changing: Bools
+
+    @cached_property
+    def row(self) -> float:
+        """Time between rows [s], the median."""
+        return float(np.median(np.diff(self.time)))
 
     def validated_at(self, chosen: RowChoice) -> Stretch:
         """The same log with another validation set."""
@@ -340,7 +346,7 @@ def _many(moving: Bools) -> Bools:
 def started(plant: Plant, stretch: Stretch, step: float) -> Simulator:
     """A simulator at the first row of a log. step : of integration, at most [s]."""
     s = stretch
-    simulator = Simulator(plant, max_step=stable_step(plant, step))
+    simulator = Simulator(plant, max_step=stable_step(plant, step), train_rate=followed_rate(plant, s.row))
     position, velocity = true_start(plant, *s.motion)
     current = driven_current(plant, s.time, s.voltage, 0, velocity, s.motion[2])
     if s.enable is not None:

@@ -13,6 +13,15 @@ def stable_step(plant: Plant, at_most: float) -> float:
     return min([at_most, *(FITTING.greatest_step_lags * lag for lag in _lags(plant).values())])
 
 
+def followed_rate(plant: Plant, row: float) -> float:
+    """Steps in a second [1/s] in which a plant's links are followed where they do not follow their motors.
+
+    row : of the log [s]. A vibration that is too fast for rows to show need not be right, but must stay bounded.
+    """
+    shown = FITTING.steps_of_shown / row
+    return min(plant.least_rate, max(shown, FITTING.unseen_steps * plant.least_rate))
+
+
 def parts_of_steps(plant: Plant, at_most: float) -> int:
     """Parts of a step of integration that resolve the instants at which a law switches a current; 1 where none does.
 

@@ -15,11 +15,16 @@ class Fitting:
     start_rows: int = 12  #: rows to each side of the start whose parabola gives its position
     settling_time: float = 0.25  #: time at the start of a log that the predictor is given to settle [s]
     greatest_step_time: float = 1.2e-3  #: greatest step [s]; RK4 is stable up to 8.4 ms for the arm's windings (3 ms)
-    #: steps [s] that are tried first, the greatest that the error of the innovations allows [standard deviations of
-    #: those]: an error of RK4 grows with the fifth power of a rate, so a model three times as fast has about 2 %
     #: steps of two masses in a second [1/s] beyond which a model is not run: time constants of ten microseconds show in
     #: no log. 3e5 N.m/rad with 100 N.m.s/rad on a rotor of 0.0022 kg.m2 (dfki_pendulum) take 7e4
     greatest_rate: float = 1e5
+    #: steps of two masses in a row that follow a vibration of a quarter of the log's rows a second, half of what rows
+    #: can show, with the 0.4 rad a step of `plant.drive_train`; and the share of its steps for what is faster: up to
+    #: 0.8 rad of a vibration, which RK4 damps by 0.17 %, and two time constants of a decay, of which it bears 2.78
+    steps_of_shown: float = 4.0
+    unseen_steps: float = 0.5
+    #: steps [s] that are tried first, the greatest that the error of the innovations allows [standard deviations of
+    #: those]: an error of RK4 grows with the fifth power of a rate, so a model three times as fast has about 2 %
     further_steps: tuple[float, ...] = (5e-3, 2.5e-3)
     step_error: float = 1e-4
     #: greatest step in time constants of a winding: RK4 is stable up to 2.78
