@@ -14,7 +14,6 @@ import pytest
 from puma_sim_core.effects import KINDS, parse_effect
 from puma_sim_core.effects.screening import VOLTAGE_COLUMN
 from puma_sim_core.effects.shared.columns import candidate
-from puma_sim_core.identify.checks.wrong_zero import wrong_zeros
 from puma_sim_core.identify.fitting.point import Point
 from puma_sim_core.identify.fitting.prediction import Fitted, PredictionFit
 from puma_sim_core.identify.fitting.trial import Trial
@@ -398,31 +397,6 @@ def test_an_error_within_the_encoders_step_is_none_of_the_machine(effect, least)
     assert problem(1.01 * least * step, step) is None
     # without a step that shows, any size may be told
     assert problem(0.99 * least * step, 0.0) is None
-
-
-def offset(gain, angle, problem):
-    effect = parse_effect(f"encoder_offset:joint=2,angle={angle}")
-    model = Fitted(Point(np.zeros(1), (effect,)), np.zeros((4, 2)), 0.0, ())
-    return Trial(scored(("encoder_offset", 2)), gain, 5.0, model, 3.0, problem)
-
-
-@pytest.mark.parametrize(
-    "gain, rival, beyond, problem, found",
-    [
-        (120.0, 90.0, None, "more than any machine has", True),
-        (105.0, 90.0, None, "more than any machine has", False),  # not clearly better than an effect
-        (120.0, 90.0, None, None, False),  # one that a sensor may have is an effect like others
-        (60.0, 0.0, None, "more than any machine has", True),
-        (25.0, 0.0, None, "more than any machine has", False),  # not above the threshold by enough
-        (120.0, 110.0, "impossible", "more than any machine has", True),
-        (120.0, 130.0, "impossible", "more than any machine has", False),  # what no machine has fits better still
-    ],
-)
-def test_a_zero_that_no_sensor_has_is_a_fault_of_the_data(gain, rival, beyond, problem, found):
-    other = replace(trial(A, rival), problem=beyond)
-    faults = wrong_zeros([Stage((offset(gain, 0.9, problem), other), Threshold.alike(15.0), None)])
-    assert [(f.channel, f.row) for f in faults] == ([("position2", None)] if found else [])
-    assert all("offset by about 0.9 rad" in f.what for f in faults)
 
 
 def test_a_spring_is_contained_in_a_stop():

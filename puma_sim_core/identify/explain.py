@@ -120,7 +120,7 @@ def explain(
             unusable += [_read_without(name, cut) for name, cut in stages.beside.cuts.items()]
         release()
         state = stages.select()
-        faults = wrong_zeros(state.history) or stages.unexplained(state, doubts)
+        faults = wrong_zeros(state.history, cuts) or stages.unexplained(state, doubts)
     mechanism_of: dict[str, Any] = {"plant": plant, "parameters": parameters, "model": model}
     sides = () if faults else compare_sides(parts, mechanism, seed)
     if faults:

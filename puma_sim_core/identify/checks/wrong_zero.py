@@ -3,10 +3,11 @@
 
 The gate sees such an offset where it makes the weight of the links wrong by much. A smaller one can hide in the priors
 of the parameters until the model is fitted: then an encoder offset explains the log better than any effect does, and is
-larger than one can be.
+larger than one can be. Where the position jumped for good, its zero is another one from there on.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 from puma_sim_core.effects import KINDS
 from puma_sim_core.identify.result import Fault
@@ -14,8 +15,9 @@ from puma_sim_core.identify.selection.state import Stage
 from puma_sim_core.identify.settings import CHECKS
 
 
-def wrong_zeros(stages: Iterable[Stage]) -> list[Fault]:
-    """Faults of positions by the stages of a selection, those of the first stage that has any.
+def wrong_zeros(stages: Iterable[Stage], cuts: Sequence[Fault] = ()) -> list[Fault]:
+    """Faults of positions by the stages of a selection, those of the first stage that has any. cuts : faults of rows
+    that the logs were cut at.
 
     Where an effect that no machine has fits better still, an offset is not what is wrong: of a voltage that has nothing
     to do with the motion some offset leaves less, too.
@@ -38,5 +40,13 @@ def wrong_zeros(stages: Iterable[Stage]) -> list[Fault]:
             and t.gain > most
         ]
         if found:
-            return found
+            return [_since(fault, cuts) for fault in found]
     return []
+
+
+def _since(fault: Fault, cuts: Sequence[Fault]) -> Fault:
+    """A wrong zero as the jump that it comes from, if there is one: a cut at which no row was left out."""
+    jump = next((cut for cut in cuts if cut.channel == fault.channel and cut.row is not None and not cut.rows), None)
+    if jump is None:
+        return fault
+    return replace(jump, what=f"{jump.what}. With the rows on both sides {fault.what}")
