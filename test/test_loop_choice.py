@@ -374,31 +374,6 @@ def test_what_a_log_could_show_is_compared_with_what_the_machine_may_have(mechan
     assert detectable(kind, joint, machine, 0.02, pairs, 16.0, found).excited
 
 
-@pytest.mark.parametrize(
-    "effect, least",
-    [
-        ("transmission_error:joint=2,order=12,amplitude={}", 0.5),
-        ("sensor_nonlinearity:joint=2,period=3,amplitude={}", 0.5),
-        ("backlash:joint=2,gap={}", 1.0),
-    ],
-)
-def test_an_error_within_the_encoders_step_is_none_of_the_machine(effect, least):
-    position = np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
-
-    def problem(size, step):
-        sampled = SimpleNamespace(joints=3, position=position, quantum=np.array([0.0, step, 1.0]))
-        arm = load_mechanism()
-        chooser = Trials(None, SimpleNamespace(mechanism=arm, sampled=sampled))
-        model = Fitted(Point(arm.start, (parse_effect(effect.format(size)),)), np.zeros((4, 3)), 0.0, ())
-        return chooser.problem_of(SimpleNamespace(mechanism=arm), model, 0)
-
-    step = 2e-3
-    assert "the encoder's own error (a step of 0.002 rad)" in problem(0.99 * least * step, step)
-    assert problem(1.01 * least * step, step) is None
-    # without a step that shows, any size may be told
-    assert problem(0.99 * least * step, 0.0) is None
-
-
 def test_a_spring_is_contained_in_a_stop():
     assert "joint_spring" in KINDS["soft_stop"].contains
 

@@ -15,10 +15,9 @@ from loop_logs import pieces, record
 from puma_sim_core.effects import KINDS, Effect, parse_effect
 from puma_sim_core.errors import NonFiniteStateError
 from puma_sim_core.identify import explain
-from puma_sim_core.identify.fitting.intervals import deviations, intervals
+from puma_sim_core.identify.fitting.intervals import intervals
 from puma_sim_core.identify.fitting.point import Point
 from puma_sim_core.identify.fitting.prediction import PredictionFit, Slopes, bounded_step
-from puma_sim_core.identify.fitting.resolution import unresolved
 from puma_sim_core.identify.fitting.trial import IMPOSSIBLE
 from puma_sim_core.identify.fitting.trials import Base, Trials
 from puma_sim_core.identify.prepare import runnable
@@ -427,23 +426,3 @@ def test_of_the_sizes_of_other_mechanisms_nothing_is_known_beforehand():
     drift = parse_effect("resistance_drift:joint=1,share=0.8,time_constant=9")
     slopes, precision = fit.prior(Point(PENDULUM.start, (drift,)), [(0, "share"), (0, "time_constant")])
     assert slopes[0] > 1.0 < precision[0] and slopes[1] == 0.0
-
-
-def test_an_error_of_the_position_is_named_where_it_is_clearly_more_than_the_encoders():
-    effect = parse_effect("transmission_error:joint=1,amplitude=0.003,order=8,phase=0.4")
-    base, _, _ = lacking(effect)
-    names = tuple((0, name) for name in ("amplitude", "order", "phase"))
-    model = base.fit.run(Point(PENDULUM.start, (effect,)), names)
-    value = model.point.effects[0].values["amplitude"]
-    spread = deviations(base.fit, model)[0][0]
-    assert 0.0 < 5.0 * spread < value
-
-    def found(away, of=model):
-        """With half a step of the encoder some standard errors below the amplitude."""
-        return unresolved(base.fit, of, 0, 2.0 * (value - away * spread))
-
-    assert found(2.1) is None and "not clearly more than the encoder's own error" in found(1.9)
-    assert "+-" in found(-0.1)
-    # without derivatives nothing is known of the standard error
-    bare = replace(model, jacobian=None)
-    assert found(0.1, bare) is None and found(-0.1, bare) is not None

@@ -185,7 +185,8 @@ class Parameter:
     step: float | str | None = None  #: how far it must move to matter, or the parameter that says so; None: by unit
     inverse: bool = False  #: more of it means less of the effect
     softened_by: str | None = None  #: a stiffness [N.m/rad] by which its edge is soft
-    #: an error of the position: encoder steps below which it may as well be the encoder's own
+    #: an error of the position, or a stiffness (`inverse`) by its twist under the torque of a log: encoder steps below
+    #: which it may as well be the encoder's own
     steps: float | None = None
     #: a time by which something is late: periods of the log by which its stamp may be late as well
     periods: float = 0.0

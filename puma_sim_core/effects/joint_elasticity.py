@@ -93,7 +93,7 @@ EFFECT = Kind(
     sentence="A drive that twists: the link swings against the rotor, with a resonance and, in "
     "the motor's position, an antiresonance.",
     parameters=(
-        Parameter("stiffness", "N.m/rad", 1e-3, 1e7, "K, at the joint", RATE, (2e3, 1e5), inverse=True),
+        Parameter("stiffness", "N.m/rad", 1e-3, 1e7, "K, at the joint", RATE, (2e3, 1e5), inverse=True, steps=0.5),
         Parameter("damping", "N.m.s/rad", 0.0, 1e5, "B, at the joint", default=5.0),
         MOTOR_SHARE,
     ),

@@ -267,9 +267,7 @@ class Trials:
 
     def problem_of(self, fit: PredictionFit, fitted: Fitted, number: int) -> str | None:
         """Why an effect of a fitted model, by its number, may not be named, None where it may."""
-        effect = fitted.point.effects[number]
-        step = 0.0 if effect.joint is None else float(self.problem.sampled.quantum[effect.joint - 1])
-        return unresolved(fit, fitted, number, step) or self.implausible(effect)
+        return unresolved(self.problem, fit, fitted, number) or self.implausible(fitted.point.effects[number])
 
     def implausible(self, effect: Effect) -> str | None:
         """Why an effect can be none of this machine, None where it may be one."""
