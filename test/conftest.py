@@ -31,7 +31,7 @@ if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
 LONG = {
     "test_docs": 218,
     "test_ros_appraise": 184,
-    "test_loop_blind": 107,
+    "test_loop_blind": 81,
     "test_ros2_cli": 77,
     "test_explain_many": 67,
     "test_ros_loop_demo": 50,
