@@ -18,6 +18,7 @@ from puma_sim_core.identify.fitting.prediction import Fitted, PredictionFit
 from puma_sim_core.identify.fitting.trial import Trial
 from puma_sim_core.identify.fitting.trials import Trials, fixed
 from puma_sim_core.identify.parallel import parallel_map
+from puma_sim_core.identify.screening.causal import CausalScreen
 from puma_sim_core.identify.selection.state import SelectionState
 from puma_sim_core.identify.settings import FITTING, SELECTION
 
@@ -29,6 +30,25 @@ class Refits:
         self.trials = trials
         self.predictor = trials.predictor
         self.library = library
+
+    def from_innovations(self, state: SelectionState) -> SelectionState:
+        """Where a missing effect has stretched the parameters, the trial of which the innovations show most starts from
+        their values as well: about such parameters the residual of the filtered motion says little, and what it gives
+        may be far from where the effect is. With two masses it would take too long."""
+        if state.model.point.two_mass or not state.model.point.stretched(self.predictor.mechanism):
+            return state
+        base = self.trials.base(state.model, state.noise, state.derivatives)
+        causal = CausalScreen(base.fit, base.model.point, base.model.errors, base.jacobian, self.trials.problem)
+        kinds = {t.key: self.library[t.name] for t in state.trials}
+        scored = (causal.score(kind, key[1]) for key, kind in kinds.items() if not kind.two_masses)
+        most = max((s for s in scored if s is not None and s.values is not None), key=lambda s: s.gain, default=None)
+
+        def again(trial: Trial) -> Trial:
+            if most is None or trial.key != most.key or most.values == trial.scored.values:
+                return trial
+            return max(trial, self.trials.run(base, most, again=True), key=lambda t: t.gain)
+
+        return _with_trials(state, again)
 
     def related(self, state: SelectionState) -> SelectionState:
         """Trials of effects that contain one another start from each other (`from_nested`, `from_containing`), until

@@ -68,6 +68,7 @@ class Selection:
         self.stage: tuple[Pass, ...] = (
             self.fit_model,
             self.try_short_list,
+            refits.from_innovations,
             refits.from_levels,
             self.try_richer,
             refits.related,
