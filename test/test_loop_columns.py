@@ -71,3 +71,18 @@ def test_the_elasticity_of_a_joint_whose_rotor_is_light_beside_its_link_is_seen(
     base = trials.base(model, fit.weighting, fit.derivatives(model.point, ()))
     trial = trials.run(base, found)
     assert trial.gain > found.gain and trial.effect.values["stiffness"] == pytest.approx(1.9, rel=0.2)
+
+
+def test_a_ripple_of_few_waves_a_turn_of_the_joint_is_sought_where_the_joint_travels_one(tmp_path):
+    """A pendulum whose drive has no gear that is known: its motor turns as its joint does."""
+    made = Record(1325)
+    made.effects = (parse_effect("torque_ripple:joint=1,amplitude=0.12,order=3,phase=2.3,ratio=1"),)
+    fit, trials, true = of_machine(made, tmp_path)
+    model, _ = fit.to_end(Point(true.theta, ()), ())
+    screen = screen_of(fit, trials, model)
+    found = screen.score(KINDS["torque_ripple"], 1)
+    assert found.gain > 100.0 and found.values["order"] == 3.0
+    assert found.values["amplitude"] == pytest.approx(0.12, rel=0.1)
+    # one wave a turn is what gravity is
+    orders = {candidate.grid["order"] for candidate, _ in screen.pairs(KINDS["torque_ripple"], 1)}
+    assert min(orders) > 1.0

@@ -27,7 +27,7 @@ def ripple(signals: Signals, joint: int) -> list[Candidate]:
 
     The counts of an encoder blur the phase by at most n N times half a count, below 0.1 rad for the arm; orders whose
     waves pass faster than the filters of the screening let through, or of which the joint travels less than one, are
-    left out.
+    left out, and so is one wave a turn of the joint: gravity is that.
     """
     scale, gear = float(signals.torque_scale[joint]), float(signals.gear[joint])
 
@@ -44,7 +44,7 @@ def ripple(signals: Signals, joint: int) -> list[Candidate]:
         return candidate(columns, [0.0, 0.0], [0.3 * scale] * 2, values, {"order": order})
 
     def shown(number: float) -> bool:
-        return number >= 6.0 and number * signals.quantum[joint] <= 1.5 and waves(signals, joint, number)
+        return number > 1.0 and number * signals.quantum[joint] <= 1.5 and waves(signals, joint, number)
 
     return [at(order) for order in _ORDERS if shown(order * abs(gear))]
 
