@@ -4,8 +4,9 @@
   python benchmarks/against.py REVISION [--rounds N] [--kernels numba,python] [--explain-rounds N] [--logs TEXT]
 
 Each case runs in two processes, one a checkout, that take turns; the ratio is taken within each round. `explain` runs
-on logs of 10 s at 1 kHz that this checkout's `examples/make_logs.py` makes, and counts seconds of processors: what else
-the machine does matters less for them. It is a script: the package that it runs is the one of PYTHONPATH.
+on logs of 10 s at 1 kHz that this checkout's `examples/make_logs.py` makes, and counts seconds of processors, for which
+what else the machine does matters less, and those of the clock, which a user waits. It is a script: the package that it
+runs is the one of PYTHONPATH.
 """
 
 from __future__ import annotations
@@ -66,36 +67,32 @@ def found(name: str):
 
 
 def serve(case: str, seconds: float) -> None:
-    """Time one run for each line of input; print the seconds, and the most memory that the process has had [MB]."""
+    """Time one run for each line of input; print its seconds of all processors, those of the clock, and the most memory
+    that the process has had [MB]."""
     run = _explanation(case) if case in LOGS else _simulation(case, seconds)
     for _ in sys.stdin:
-        print(run(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0, flush=True)
+        processors, clock = time.process_time(), time.perf_counter()
+        run()
+        took = time.process_time() - processors, time.perf_counter() - clock
+        print(*took, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0, flush=True)
 
 
-def _explanation(case: str) -> Callable[[], float]:
-    """Explains the log of a case, and returns the seconds of all processors that it took."""
+def _explanation(case: str) -> Callable[[], None]:
+    """Explains the log of a case."""
     explain = found("explain")
-
-    def run() -> float:
-        start = time.process_time()
-        explain(str(log_of(case)), plant=LOGS[case][0])
-        return time.process_time() - start
-
-    return run
+    return lambda: explain(str(log_of(case)), plant=LOGS[case][0])
 
 
-def _simulation(case: str, seconds: float) -> Callable[[], float]:
-    """Simulates a case, and returns the seconds that it took."""
+def _simulation(case: str, seconds: float) -> Callable[[], None]:
+    """Simulates a case."""
     effects = tuple(map(found("parse_effect"), CASES[case]))
     simulator = found("Simulator")(found("Plant")(found("load_parameters")("bejczy"), effects))
     times = np.arange(round(seconds / PERIOD) + 1) * PERIOD
     volts = np.column_stack([6.0 * np.sin(times + j) + (4.0, -12.0, 3.0)[j] for j in range(3)])
 
-    def run() -> float:
+    def run() -> None:
         simulator.reset((0.0, -1.0, 0.5))
-        start = time.perf_counter()
         simulator.run(times, volts)
-        return time.perf_counter() - start
 
     return run
 
@@ -130,21 +127,22 @@ def checkout(revision: str) -> Path:
 
 
 def measured(case: str, kernel: str, folders: tuple[Path, Path], rounds: int) -> tuple[np.ndarray, np.ndarray]:
-    """Seconds (rounds, 2) of this checkout and of the other one, and the most memory [MB] (2,) that each has had."""
+    """Seconds of all processors and of the clock (rounds, 2, 2) of this checkout and of the other one, and the most
+    memory [MB] (2,) that each has had."""
     sides, megabytes = [], np.zeros(2)
     for folder in folders:
         command = [sys.executable, str(Path(__file__).resolve()), "--serve", case, str(SECONDS[kernel])]
         environment = {**os.environ, "PYTHONPATH": str(folder), "PUMA_SIM_KERNEL": kernel}
         pipe = subprocess.PIPE
         sides.append(subprocess.Popen(command, env=environment, stdin=pipe, stdout=pipe, text=True, bufsize=1))
-    seconds = np.zeros((rounds + 1, 2))
+    seconds = np.zeros((rounds + 1, 2, 2))
     for n in range(rounds + 1):
         for side in ((0, 1), (1, 0))[n % 2]:
             sides[side].stdin.write("run\n")
             answer = sides[side].stdout.readline()
             if not answer:
                 raise SystemExit(f"{case}, {kernel}: the process of {folders[side]} ended")
-            seconds[n, side], megabytes[side] = map(float, answer.split())
+            *seconds[n, :, side], megabytes[side] = map(float, answer.split())
     for process in sides:
         process.stdin.close()
         process.wait()
@@ -178,13 +176,15 @@ def main() -> None:
 
 
 def report(case: str, kernel: str, seconds: np.ndarray, megabytes: np.ndarray) -> None:
-    """Print the line of a case."""
-    low, middle, high = np.quantile(seconds[:, 0] / seconds[:, 1], (0.25, 0.5, 0.75))
-    least = seconds[:, 0].min() / seconds[:, 1].min()
+    """Print the line of a case: a simulation by the clock, an explanation by the processors."""
+    counted = seconds[:, 0 if case in LOGS else 1]
+    low, middle, high = np.quantile(counted[:, 0] / counted[:, 1], (0.25, 0.5, 0.75))
+    least = counted[:, 0].min() / counted[:, 1].min()
     text = f"  {kernel:6}  {case:24}  {middle:.3f} ({low:.3f} to {high:.3f}), {least:.3f}"
     if case in LOGS:
-        ours, theirs = np.median(seconds, axis=0)
+        (ours, theirs), (own, other) = np.median(seconds, axis=0)
         text += f"; {ours:.1f} s of {theirs:.1f} s, {megabytes[0]:.0f} MB of {megabytes[1]:.0f} MB"
+        text += f"; by the clock {own / other:.3f}, {own:.1f} s of {other:.1f} s"
     print(text, flush=True)
 
 

@@ -144,7 +144,7 @@ class Cut:
         return steps
 
 
-@pytest.mark.parametrize("command_interface", ["voltage", "position"])
+@pytest.mark.parametrize("command_interface", ["voltage", pytest.param("position", marks=pytest.mark.thorough)])
 def test_a_file_cut_at_any_record_gives_what_stands_before_the_cut(tmp_path, command_interface):
     cut = Cut(tmp_path, command_interface)
     steps = [cut.steps_after(length) for length in [0, 5, 8, *record_boundaries(cut.data)]]

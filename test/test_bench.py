@@ -219,7 +219,7 @@ def test_targets_say_reached_not_reached_or_not_measured():
 # the command
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 def test_the_command_prints_one_table_and_writes_the_numbers(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(bench, "QUICK_SECONDS", 0.02)
     monkeypatch.setattr(own, "BATCH_RUNS", 8)
@@ -262,7 +262,7 @@ def test_a_wrong_command_line_is_refused(arguments, complaint, capsys):
 def test_two_checkouts_are_timed_in_one_run(tmp_path):
     """Each case of `make bench AGAINST=...` runs on both sides, here of one and the same checkout."""
     seconds, megabytes = against.measured("Coulomb friction", "python", (against.ROOT, against.ROOT), 2)
-    assert seconds.shape == (2, 2) and (seconds > 0.0).all()
+    assert seconds.shape == (2, 2, 2) and (seconds > 0.0).all()
     assert megabytes.shape == (2,) and (megabytes > 10.0).all()
     with pytest.raises(SystemExit, match="no such effect"):
         against.measured("no such effect", "python", (against.ROOT, against.ROOT), 1)

@@ -282,6 +282,7 @@ def test_limits_and_stops_are_drawn_relative_to_the_motion():
     assert min(stiffness) < 50.0 and max(stiffness) > 8000.0
 
 
+@pytest.mark.thorough
 def test_a_limit_that_holds_its_load_in_no_motion_is_drawn_again(tmp_path, monkeypatch):
     tried = []
     in_range = generate.Rig.in_range

@@ -50,6 +50,7 @@ def test_times_of_an_even_clock_come_back_whatever_its_ticks(step, ratio, start,
     assert np.diff(found.time) == pytest.approx(step, rel=0.01)
 
 
+@pytest.mark.thorough
 def test_such_a_log_is_used_whole_and_has_the_answer_of_its_true_times(log):
     shown = replace(log, time=in_ticks(log.time, 0.01))
     assert "a row every 2 ms (at most 2)" in overview(shown, PENDULUM).lines("rad")[0]

@@ -100,7 +100,7 @@ def test_report_and_page_have_the_table():
     assert '<section id="agreement">' not in page(named())
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 def test_two_halves_of_a_log_give_the_same_answer(tmp_path):
     """The sample log of the pendulum, which lacks Coulomb friction, as two logs."""
     lines = (Path(__file__).parents[1] / "examples" / "pendulum.csv").read_text().splitlines()

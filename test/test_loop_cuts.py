@@ -156,7 +156,7 @@ def test_single_rows_may_be_gone_all_over_a_log(log, whole):
     assert abs(torque.value - expected.value) < 0.1 * (expected.high - expected.low)
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 def test_the_same_answer_with_rows_lost(log, whole):
     rows = np.r_[0:1400, 1412:5000]
     hurt = with_rows(log, rows)

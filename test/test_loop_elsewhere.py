@@ -89,7 +89,7 @@ def test_one_push_stands_out_and_one_of_many_does_not():
     assert np.median(elsewhere) > 100.0 and level > gain
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 def test_a_push_by_hand_is_named_where_it_came_and_beside_the_friction():
     """Its shape is a bell and not the effect's own: place and momentum are what is asked for."""
     at, sigma, greatest = 6.2, 0.09, 0.8

@@ -63,7 +63,7 @@ def test_an_effect_of_a_size_that_no_machine_has_is_no_name_and_not_nothing():
     assert " mV, less than any machine has (35.2 mV)" in found.sentence
 
 
-@pytest.mark.parametrize("current", [0.043, 0.02])
+@pytest.mark.parametrize("current", [0.043, pytest.param(0.02, marks=pytest.mark.thorough)])
 def test_a_drive_may_be_set_to_any_limit_that_leaves_the_motion(current):
     """Seen on a blind record: 0.262 A where machines have 0.267 A at least, and a log at its limit was a data fault."""
     mechanism = load_mechanism("pendulum")

@@ -25,7 +25,7 @@ def explained(effects, seed: int, folder: Path):
     return explain(path)
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 def test_a_payload_that_other_links_could_replace_is_named(tmp_path):
     """Links 5 deviations of their priors away predict as well: it was taken back, and a curve was left."""
     found = explained(("payload:mass=1.5",), 12, tmp_path)

@@ -69,7 +69,7 @@ def test_dry_friction_is_named_where_the_joint_moves_now_and_then(tmp_path):
     assert torque.low < 0.2 < torque.high < 0.3
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 def test_dry_friction_is_named_on_a_joint_that_it_all_but_holds(tmp_path):
     found = explain(all_but_held(tmp_path / "log.csv"), plant="dfki_pendulum")
     (torque,) = (e.parameters["torque"] for e in found.effects if (e.name, e.joint) == ("coulomb_friction", 1))

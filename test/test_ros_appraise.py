@@ -203,7 +203,7 @@ def test_a_process_that_misbehaves_fails_with_the_reason_and_the_rest_goes_on(tm
         "mine.command": f"{sys.executable} {ROOT / 'test' / 'misbehaving_process.py'} {tmp_path / 'count'}",
         "bags": "all",
         # a busy machine must not make those late that do not hang
-        "answer_timeout": PATIENCE / 2,
+        "answer_timeout": PATIENCE / 4,
         "trial_timeout": 4 * PATIENCE,
         "start_timeout": 4 * PATIENCE,
     }
@@ -212,7 +212,7 @@ def test_a_process_that_misbehaves_fails_with_the_reason_and_the_rest_goes_on(tm
     found = list(trials_of(results(out), "mine").values())
     expected = {
         "well": ("completed", ""),
-        "hangs": ("late", f"no answer within {PATIENCE / 2:g} s, at 0.2520 s"),
+        "hangs": ("late", f"no answer within {PATIENCE / 4:g} s, at 0.2520 s"),
         "dies": ("died", "its process was ended by signal SIGSEGV, at 0.2520 s"),
         "not finite": ("not_finite", "voltages (nan, 0, 0) at 0.2520 s"),
         "floods": ("refused", "it sent more commands than it got states"),
