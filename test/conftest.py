@@ -89,6 +89,7 @@ QUICK = {
     "test_loop_undriven",
     "test_machines",
     "test_mechanisms",
+    "test_one_by_one",
     "test_packaging",
     "test_pages",
     "test_public_names",

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 from cli_support import call
 from loop_support import EXPLANATIONS, faulty, named
 
+from puma_sim_core import executors
 from puma_sim_core import identify as loop
 from puma_sim_core.identify.result import Agreement
 
@@ -34,6 +36,7 @@ def asked(monkeypatch, tmp_path_factory):
         seed=0,
         strict=False,
         agreement=True,
+        executor=None,
         progress=None,
     ):
         seen.update(
@@ -46,6 +49,7 @@ def asked(monkeypatch, tmp_path_factory):
             seed=seed,
             strict=strict,
             agreement=agreement,
+            executor=executor,
         )
         progress("screening", 0.5)
         return seen["gives"]
@@ -94,8 +98,20 @@ def test_options_go_to_the_analysis_and_files_come_out(asked, tmp_path, capsys):
 def test_the_comparison_of_logs_is_printed_and_can_be_left_out(asked, tmp_path, capsys):
     asked["gives"] = replace(named(), agreement=Agreement(("a", "b"), ("NAMED", "NAMED"), (), "Both name friction."))
     assert call("explain", "a.csv", "b.csv", "--no-agreement", "--out", tmp_path) == 0
-    assert not asked["agreement"]
+    assert not asked["agreement"] and asked["executor"] is None
     assert capsys.readouterr().out.splitlines()[:2] == [named().sentence, "Both name friction."]
+
+
+@pytest.mark.parametrize(("threads", "logs", "processes"), [(1, "ab", 0), (2, "a", 0), (2, "abc", 1), (8, "abc", 3)])
+def test_logs_are_explained_one_by_one_on_the_cores_that_are_left(
+    threads, logs, processes, asked, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("PUMA_SIM_THREADS", str(threads))
+    opened = []
+    monkeypatch.setattr(executors, "open_executor", lambda jobs: opened.append(jobs) or nullcontext("processes"))
+    assert call("explain", *(f"{name}.csv" for name in logs), "--out", tmp_path) == 0
+    assert opened == ([processes] if processes else [])
+    assert asked["executor"] == ("processes" if processes else None)
 
 
 def test_defaults(asked, tmp_path):

@@ -4,6 +4,7 @@
 import os
 import time as clock
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import replace
 from functools import cached_property, partial
 from typing import Any
@@ -29,12 +30,13 @@ from puma_sim_core.identify.link_side import outcome as link_outcome
 from puma_sim_core.identify.link_side.compare import compare as compare_sides
 from puma_sim_core.identify.memory import release
 from puma_sim_core.identify.noise.open_loop import NoiseFloor, noise_behind, variance_of_innovations
+from puma_sim_core.identify.one_by_one import OneByOne, within
 from puma_sim_core.identify.outcome import Findings, beyond_noise, compose, fault_sentence
 from puma_sim_core.identify.prepare import Prepared, prepare, silent
 from puma_sim_core.identify.report.json import report_mapping
 from puma_sim_core.identify.residuals.shape import Curve
 from puma_sim_core.identify.residuals.unnamed import Unnamed
-from puma_sim_core.identify.result import DATA_FAULT, Agreement, Detectable, Errors, Explanation, Fault, FeedbackBias
+from puma_sim_core.identify.result import DATA_FAULT, Detectable, Errors, Explanation, Fault, FeedbackBias
 from puma_sim_core.identify.screening.causal import CausalScreen
 from puma_sim_core.identify.screening.detect import detectable
 from puma_sim_core.identify.screening.hypotheses import candidates, hypotheses, open_to
@@ -65,6 +67,7 @@ def explain(
     seed: int = 0,
     strict: bool = False,
     agreement: bool = False,
+    executor: Executor | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Explanation:
     """What the model lacks, by measured logs.
@@ -81,6 +84,8 @@ def explain(
     strict : refuse a log with rows that cannot be used, in place of leaving them out.
     agreement : explain several logs one by one as well, and compare the answers. It takes about as long again as the
         logs together.
+    executor : of `open_executor`: explains them one by one at the same time, with the same result; None: afterwards, in
+        this process.
     progress : called with (what is done, share 0..1).
 
     Returns
@@ -101,7 +106,7 @@ def explain(
         raise RecordingError("no log", where="explain", expected="one at least")
     agreement = agreement and len(fitted) > 1
     if agreement:
-        progress = _within(told, 0.0, 0.5)
+        progress = within(told, 0.0, 0.5)
     checked = [check(log, mechanism) for log in fitted]
     cuts = [cut for each in checked for cut in each.cuts]
     faults = [fault for each in checked for fault in each.faults] or (cuts if strict else [])
@@ -110,6 +115,11 @@ def explain(
     parts = [part for each in checked for part in each.parts]
     if not faults and mechanism.links_known:
         is_compiled("identification")  # a program may wait here until it is
+    source: dict[str, Any] = {"plant": plant, "parameters": parameters, "model": model}
+    alone = None
+    if agreement and not faults:
+        alone = OneByOne(fitted, partial(_alone, **source, seed=seed, strict=strict), executor)
+    if not faults and mechanism.links_known:
         doubts = [doubt for each in checked for doubt in each.doubts]
         prepared = prepare(parts, mechanism, progress)
         cuts += prepared.cuts
@@ -121,7 +131,6 @@ def explain(
         release()
         state = stages.select()
         faults = wrong_zeros(state.history, cuts) or stages.unexplained(state, doubts)
-    mechanism_of: dict[str, Any] = {"plant": plant, "parameters": parameters, "model": model}
     sides = () if faults else compare_sides(parts, mechanism, seed)
     if faults:
         explanation = Explanation(DATA_FAULT, fault_sentence(faults), faults=tuple(faults))
@@ -129,9 +138,14 @@ def explain(
         explanation = link_outcome.explanation(sides, mechanism.position_unit)
         unusable += [_NOT_HELD_OUT] if validation else []
     else:
-        source = {name: None if given is None else str(given) for name, given in mechanism_of.items()}
-        explanation = replace(compose(stages.findings(stages.validate(state), source)), link_side=sides)
+        told_of = {name: None if given is None else str(given) for name, given in source.items()}
+        explanation = replace(compose(stages.findings(stages.validate(state), told_of)), link_side=sides)
         notes += [link_outcome.sentence(side, mechanism.position_unit) for side in sides]
+    compared = None
+    if alone is not None and not faults:
+        compared = compare([log.name for log in fitted], alone.reports(within(told, 0.5, 1.0)))
+    elif alone is not None:
+        alone.cancel()
     return replace(
         explanation,
         mechanism=mechanism.name,
@@ -142,29 +156,17 @@ def explain(
         position_unit=mechanism.position_unit,
         notes=(*notes, *explanation.notes, *unusable),
         cuts=() if faults else tuple(cuts),
-        agreement=_compared(fitted, mechanism_of, seed, strict, told) if agreement and not faults else None,
+        agreement=compared,
         seconds=clock.perf_counter() - begin,
     )
 
 
-def _within(progress: Callable[[str, float], None], low: float, high: float) -> Callable[[str, float], None]:
-    """Progress from low to high of that of a whole."""
-    return lambda what, share: progress(what, low + (high - low) * share)
-
-
-def _compared(
-    logs: Sequence[Log], source: Mapping[str, Any], seed: int, strict: bool, progress: Callable[[str, float], None]
-) -> Agreement:
-    """The answers of logs explained one by one; source : plant, parameters and model."""
-    reports: list[dict[str, Any] | None] = []
-    for n, log in enumerate(logs):
-        own = _within(progress, 0.5 + 0.5 * n / len(logs), 0.5 + 0.5 * (n + 1) / len(logs))
-        try:
-            reports.append(report_mapping(explain(log, **source, seed=seed, strict=strict, progress=own)))
-        except RecordingError:
-            # too short alone
-            reports.append(None)
-    return compare([log.name for log in logs], reports)
+def _alone(log: Log, progress: Callable[[str, float], None], **asked: Any) -> dict[str, Any] | None:
+    """The report of a log by itself, None where it is too short; asked : how it is explained."""
+    try:
+        return report_mapping(explain(log, **asked, progress=progress))
+    except RecordingError:
+        return None
 
 
 def _logs(given: Logs, columns: Mapping[str, str] | None, mechanism: Mechanism) -> list[Log]:

@@ -21,6 +21,8 @@ report on, such as a file that cannot be read.
 
 import argparse
 import os
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, nullcontext
 
 from puma_sim_core.cli.arguments import (
     Command,
@@ -54,7 +56,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--agreement",
         action=argparse.BooleanOptionalAction,
         default=True,
-        help="explain several logs one by one as well, and compare the answers; about doubles the time",
+        help="explain several logs one by one as well, on the cores that are left, and compare the answers; on one core"
+        " about doubles the time",
     )
     parser.add_argument(
         "--dry-run",
@@ -93,7 +96,7 @@ def run(options: argparse.Namespace) -> int:
     from puma_sim_core.identify import explain
 
     start_at_once(patient=True)
-    with Progress() as shown:
+    with Progress() as shown, _beside(len(options.logs) if options.agreement else 1) as executor:
         explanation = explain(
             options.logs,
             held_out=options.held_out,
@@ -104,6 +107,7 @@ def run(options: argparse.Namespace) -> int:
             seed=seed,
             strict=options.strict,
             agreement=options.agreement,
+            executor=executor,
             progress=shown,
         )
         paths = [] if options.json else write_explanation(explanation, options.out)
@@ -116,6 +120,14 @@ def run(options: argparse.Namespace) -> int:
     for path in paths:
         print(path)
     return _FAULTY if explanation.verdict == DATA_FAULT else 0
+
+
+def _beside(logs: int) -> AbstractContextManager[Executor | None]:
+    """Processes for logs that are explained one by one as well, on the cores that the logs together leave."""
+    from puma_sim_core.executors import open_executor, threads
+
+    count = min(logs, threads() - 1)
+    return open_executor(count) if logs > 1 and count > 0 else nullcontext()
 
 
 def _dry_run(options: argparse.Namespace, columns: dict[str, str] | None) -> int:
