@@ -36,7 +36,6 @@ def asked(monkeypatch, tmp_path_factory):
         seed=0,
         strict=False,
         agreement=True,
-        executor=None,
         progress=None,
     ):
         seen.update(
@@ -49,7 +48,6 @@ def asked(monkeypatch, tmp_path_factory):
             seed=seed,
             strict=strict,
             agreement=agreement,
-            executor=executor,
         )
         progress("screening", 0.5)
         return seen["gives"]
@@ -98,7 +96,7 @@ def test_options_go_to_the_analysis_and_files_come_out(asked, tmp_path, capsys):
 def test_the_comparison_of_logs_is_printed_and_can_be_left_out(asked, tmp_path, capsys):
     asked["gives"] = replace(named(), agreement=Agreement(("a", "b"), ("NAMED", "NAMED"), (), "Both name friction."))
     assert call("explain", "a.csv", "b.csv", "--no-agreement", "--out", tmp_path) == 0
-    assert not asked["agreement"] and asked["executor"] is None
+    assert asked["agreement"] is False
     assert capsys.readouterr().out.splitlines()[:2] == [named().sentence, "Both name friction."]
 
 
@@ -111,7 +109,7 @@ def test_logs_are_explained_one_by_one_on_the_cores_that_are_left(
     monkeypatch.setattr(executors, "open_executor", lambda jobs: opened.append(jobs) or nullcontext("processes"))
     assert call("explain", *(f"{name}.csv" for name in logs), "--out", tmp_path) == 0
     assert opened == ([processes] if processes else [])
-    assert asked["executor"] == ("processes" if processes else None)
+    assert asked["agreement"] == ("processes" if processes else True)
 
 
 def test_defaults(asked, tmp_path):

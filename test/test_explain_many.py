@@ -19,7 +19,7 @@ sys.path.insert(0, str(ROOT / "examples"))
 import make_logs
 
 from puma_sim_core.executors import Failure
-from puma_sim_core.identify.many import AGREEMENT, compared
+from puma_sim_core.identify.several.many import AGREEMENT, compared
 from puma_sim_core.result_folder import ResultFolder
 
 PLANT = ("--plant", "pendulum")

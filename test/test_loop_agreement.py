@@ -16,9 +16,9 @@ from loop_support import named
 from scipy.stats import chi2
 
 from puma_sim_core.identify import explain
-from puma_sim_core.identify.agreement import agreement, heterogeneity
 from puma_sim_core.identify.report.html import page
 from puma_sim_core.identify.report.json import report_mapping, report_text
+from puma_sim_core.identify.several.agreement import agreement, heterogeneity
 from puma_sim_core.resources import config_path
 
 FRICTION = ("coulomb_friction", 2)

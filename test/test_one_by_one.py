@@ -15,8 +15,8 @@ from puma_sim_core.executors import open_executor
 from puma_sim_core.identify import explain
 from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.explain import _alone
-from puma_sim_core.identify.one_by_one import OneByOne
 from puma_sim_core.identify.report.json import report_text
+from puma_sim_core.identify.several.one_by_one import OneByOne
 
 PENDULUM = Path(__file__).parents[1] / "examples" / "pendulum.csv"
 
@@ -91,11 +91,11 @@ def test_an_explanation_with_processes_has_the_same_bytes(tmp_path):
     for path, own in zip(paths, (lines[1:1001], lines[1001:])):
         path.write_text("\n".join([lines[0], *own]) + "\n")
 
-    def text(executor) -> list[str]:
-        found = report_text(explain(paths, plant="pendulum", agreement=True, executor=executor))
+    def text(agreement) -> list[str]:
+        found = report_text(explain(paths, plant="pendulum", agreement=agreement))
         return [line for line in found.splitlines() if not line.lstrip().startswith('"seconds"')]
 
-    here = text(None)
+    here = text(True)
     with open_executor(2) as executor:
         assert text(executor) == here
     assert any('"agreement"' in line for line in here)

@@ -15,7 +15,6 @@ from puma_sim_core import __version__
 from puma_sim_core.effects import KINDS
 from puma_sim_core.errors import RecordingError
 from puma_sim_core.executors import one_thread_of_algebra
-from puma_sim_core.identify.agreement import agreement as compare
 from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.checks import feedback
 from puma_sim_core.identify.checks.gate import check
@@ -30,7 +29,6 @@ from puma_sim_core.identify.link_side import outcome as link_outcome
 from puma_sim_core.identify.link_side.compare import compare as compare_sides
 from puma_sim_core.identify.memory import release
 from puma_sim_core.identify.noise.open_loop import NoiseFloor, noise_behind, variance_of_innovations
-from puma_sim_core.identify.one_by_one import OneByOne, within
 from puma_sim_core.identify.outcome import Findings, beyond_noise, compose, fault_sentence
 from puma_sim_core.identify.prepare import Prepared, prepare, silent
 from puma_sim_core.identify.report.json import report_mapping
@@ -45,6 +43,8 @@ from puma_sim_core.identify.selection.cross_validation import CrossValidation, W
 from puma_sim_core.identify.selection.selection import Selection
 from puma_sim_core.identify.selection.state import SelectionState
 from puma_sim_core.identify.settings import CHECKS, RESIDUALS
+from puma_sim_core.identify.several.agreement import agreement as compare
+from puma_sim_core.identify.several.one_by_one import OneByOne, within
 from puma_sim_core.identify.standing import NAMED, TIED, better_by, standings
 from puma_sim_core.jit import is_compiled
 from puma_sim_core.plant.mechanism import Mechanism
@@ -66,8 +66,7 @@ def explain(
     columns: Mapping[str, str] | None = None,
     seed: int = 0,
     strict: bool = False,
-    agreement: bool = False,
-    executor: Executor | None = None,
+    agreement: bool | Executor = False,
     progress: Callable[[str, float], None] | None = None,
 ) -> Explanation:
     """What the model lacks, by measured logs.
@@ -83,9 +82,7 @@ def explain(
     seed : of the placebos and of simulated noise.
     strict : refuse a log with rows that cannot be used, in place of leaving them out.
     agreement : explain several logs one by one as well, and compare the answers. It takes about as long again as the
-        logs together.
-    executor : of `open_executor`: explains them one by one at the same time, with the same result; None: afterwards, in
-        this process.
+        logs together; an executor of `open_executor` explains them at the same time, with the same result.
     progress : called with (what is done, share 0..1).
 
     Returns
@@ -104,8 +101,8 @@ def explain(
     fitted, validation = (_logs(given, columns, mechanism) for given in (logs, held_out))
     if not fitted:
         raise RecordingError("no log", where="explain", expected="one at least")
-    agreement = agreement and len(fitted) > 1
-    if agreement:
+    one_by_one = agreement is not False and len(fitted) > 1
+    if one_by_one:
         progress = within(told, 0.0, 0.5)
     checked = [check(log, mechanism) for log in fitted]
     cuts = [cut for each in checked for cut in each.cuts]
@@ -117,7 +114,8 @@ def explain(
         is_compiled("identification")  # a program may wait here until it is
     source: dict[str, Any] = {"plant": plant, "parameters": parameters, "model": model}
     alone = None
-    if agreement and not faults:
+    if one_by_one and not faults:
+        executor = agreement if isinstance(agreement, Executor) else None
         alone = OneByOne(fitted, partial(_alone, **source, seed=seed, strict=strict), executor)
     if not faults and mechanism.links_known:
         doubts = [doubt for each in checked for doubt in each.doubts]

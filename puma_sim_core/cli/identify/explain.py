@@ -96,7 +96,7 @@ def run(options: argparse.Namespace) -> int:
     from puma_sim_core.identify import explain
 
     start_at_once(patient=True)
-    with Progress() as shown, _beside(len(options.logs) if options.agreement else 1) as executor:
+    with Progress() as shown, _one_by_one(options) as agreement:
         explanation = explain(
             options.logs,
             held_out=options.held_out,
@@ -106,8 +106,7 @@ def run(options: argparse.Namespace) -> int:
             columns=columns,
             seed=seed,
             strict=options.strict,
-            agreement=options.agreement,
-            executor=executor,
+            agreement=agreement,
             progress=shown,
         )
         paths = [] if options.json else write_explanation(explanation, options.out)
@@ -122,12 +121,14 @@ def run(options: argparse.Namespace) -> int:
     return _FAULTY if explanation.verdict == DATA_FAULT else 0
 
 
-def _beside(logs: int) -> AbstractContextManager[Executor | None]:
-    """Processes for logs that are explained one by one as well, on the cores that the logs together leave."""
+def _one_by_one(options: argparse.Namespace) -> AbstractContextManager[Executor | bool]:
+    """Whether logs are explained one by one as well, or the processes for it, on the cores that all together leave."""
     from puma_sim_core.executors import open_executor, threads
 
-    count = min(logs, threads() - 1)
-    return open_executor(count) if logs > 1 and count > 0 else nullcontext()
+    count = min(len(options.logs), threads() - 1)
+    if options.agreement and len(options.logs) > 1 and count > 0:
+        return open_executor(count)
+    return nullcontext(options.agreement)
 
 
 def _dry_run(options: argparse.Namespace, columns: dict[str, str] | None) -> int:

@@ -77,7 +77,7 @@ def run(options: argparse.Namespace) -> int:
     left = [job for job in workers.shard.of(sources) if not folder.is_done(job["name"])]
     died: dict[str, str] = {}
     if left:
-        from puma_sim_core.identify.many import Job, explained
+        from puma_sim_core.identify.several.many import Job, explained
 
         jobs = [Job(os.path.abspath(job["source"]), job["source"], asked) for job in left]
         # each job is a process of its own, which would compile by itself
@@ -118,7 +118,7 @@ def print_table(folder: ResultFolder, died: dict[str, str] | None = None) -> Non
     """Write the tables, and print their paths and how many logs have each verdict; errors to standard error."""
     from collections import Counter
 
-    from puma_sim_core.identify.many import AGREEMENT, COLUMNS, compared, summary
+    from puma_sim_core.identify.several.many import AGREEMENT, COLUMNS, compared, summary
 
     rows = [dict(zip(COLUMNS, row)) for row in summary(folder, died)]
     path = folder.write_summary(COLUMNS, [list(row.values()) for row in rows])

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from puma_sim_core.identify.agreement import NAMED, TIED, agreement
 from puma_sim_core.identify.explain import explain
 from puma_sim_core.identify.report.output import REPORT, texts_of
+from puma_sim_core.identify.several.agreement import NAMED, TIED, agreement
 from puma_sim_core.result_folder import ResultFolder
 
 #: columns of summary.csv; voltages [V] are the root mean square over the joints, at rows that were not fitted
