@@ -41,6 +41,7 @@ LONG = {
     "test_appraise": 40,
     "test_loop_gate": 38,
     "test_bag_recovery": 35,
+    "test_loop_held_out": 31,
     "test_loop_cuts": 22,
     "test_ros_first_hour": 31,
     "test_ros_soak": 27,

@@ -64,7 +64,7 @@ def run_blocks(page: Path, folder: Path, marks: tuple[str, ...]) -> None:
             shutil.copy(path, folder)
     shutil.copytree(EXAMPLES / "effects", folder / "effects")
     environment = with_command(folder / ".programs")
-    if page.name == "add_an_effect.md":
+    if any("--effects" in block.text for block in blocks_of(page) if block.mark in marks):
         # a kernel with an effect of one's own would be compiled, for longer than all of these commands take
         environment["PUMA_SIM_KERNEL"] = "python"
     for block in blocks_of(page):

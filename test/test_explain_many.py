@@ -109,7 +109,7 @@ def test_a_report_is_that_of_explain_but_for_the_time_that_it_took(alone, logs, 
     assert (tmp_path / "model.yaml").read_bytes() == (alone / "friction" / "model.yaml").read_bytes()
 
 
-@pytest.mark.thorough
+@pytest.mark.long
 def test_forty_workers_give_the_same_bytes(alone, logs, tmp_path):
     assert explain_many(logs, tmp_path / "out", "--jobs", 40).returncode == 0
     assert contents(tmp_path / "out") == contents(alone)

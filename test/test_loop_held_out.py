@@ -30,7 +30,7 @@ def rest(explanation) -> str:
     return report_text(replace(explanation, errors=errors, held_out_logs=(), seconds=0.0))
 
 
-@pytest.mark.thorough
+@pytest.mark.long
 def test_a_log_of_another_machine_changes_nothing_but_its_own_errors(logs):
     log, other = logs
     alone, beside = explain(log, plant="pendulum"), explain(log, held_out=[other, log], plant="pendulum")

@@ -101,7 +101,7 @@ def explain(
     fitted, validation = (_logs(given, columns, mechanism) for given in (logs, held_out))
     if not fitted:
         raise RecordingError("no log", where="explain", expected="one at least")
-    one_by_one = agreement is not False and len(fitted) > 1
+    one_by_one = bool(agreement) and len(fitted) > 1
     if one_by_one:
         progress = within(told, 0.0, 0.5)
     checked = [check(log, mechanism) for log in fitted]
