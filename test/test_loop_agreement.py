@@ -45,7 +45,7 @@ def without(excited=True, tie=False):
 
 def test_q_of_equal_errors_is_the_scatter_over_the_error():
     values, error = np.array([1.0, 2.0, 4.0]), 0.5
-    mean, own, q, p = heterogeneity(values, [error] * 3)
+    mean, own, q, p = heterogeneity(values, [error] * 3, [error] * 3)
     assert mean == pytest.approx(values.mean())
     assert q == pytest.approx(2.0 * values.var(ddof=1) / error**2)
     assert p == pytest.approx(math.exp(-q / 2.0))  # chi-square with two degrees of freedom
@@ -56,9 +56,24 @@ def test_q_of_equal_errors_is_the_scatter_over_the_error():
 def test_the_test_rejects_one_true_value_as_often_as_it_says():
     rng = np.random.default_rng(7)
     errors = np.array([0.3, 1.0, 0.1, 0.5])
-    found = [heterogeneity(5.0 + errors * rng.standard_normal(4), errors) for _ in range(4000)]
+    found = [heterogeneity(5.0 + errors * rng.standard_normal(4), errors, errors) for _ in range(4000)]
     assert np.mean([p < 0.05 for *_, p in found]) == pytest.approx(0.05, abs=0.011)
     assert np.mean([q for *_, q, _ in found]) == pytest.approx(3.0, rel=0.05)
+
+
+def test_an_interval_counts_by_its_half_on_the_side_of_the_mean():
+    """The mean is the greatest of the product of likelihoods of two half parabolas, and Q twice what that lacks."""
+    values, below, above = np.array([0.57, 0.37, 0.45]), np.array([0.026, 0.016, 0.04]), np.array([0.024, 0.11, 0.02])
+    grid = np.linspace(0.3, 0.6, 300001)
+    away = values[:, None] - grid
+    falls = np.where(away > 0.0, away / below[:, None], away / above[:, None]) ** 2
+    mean, _, q, _ = heterogeneity(values, below, above)
+    assert mean == pytest.approx(grid[falls.sum(axis=0).argmin()], abs=2e-6)
+    assert q == pytest.approx(falls.sum(axis=0).min(), rel=1e-9)
+    # the mirror image has the same scatter
+    other, _, same, _ = heterogeneity(-values, above, below)
+    assert (other, same) == (pytest.approx(-mean), pytest.approx(q))
+    assert heterogeneity([2.0, 2.0], [0.1, 0.2], [0.3, 0.1])[::2] == (2.0, 0.0)
 
 
 def test_a_table_has_each_log_and_the_test_of_each_size():

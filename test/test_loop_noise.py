@@ -157,7 +157,7 @@ def test_a_profile_is_the_interval_of_a_quadratic_and_wider_where_the_likelihood
     spread, wider = (each[0] for each in intervals.deviations(fit, found))
     for sign in (-1.0, 1.0):
         steps = [sign * share * 1.96 * spread for share in FITTING.profile_shares]
-        reach, fallen = intervals._profile(found, 0, steps, wider, intervals._fitted_on(fit, found, 0))
+        reach, fallen, _ = intervals._profile(found, 0, steps, wider, intervals._fitted_on(fit, found, 0))
         assert fallen and reach == pytest.approx(1.96 * spread, rel=0.15)
     _value, low, high = intervals.intervals(fit, found)[0, "voltage"]
     assert low < 0.0 < high, "nothing was there"

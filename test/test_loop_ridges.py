@@ -1,5 +1,5 @@
 # Copyright the puma-sim contributors. SPDX-License-Identifier: Apache-2.0
-"""Fits along what a log does not tell: torques, inertias and the gain of a drive in one proportion."""
+"""Fits and intervals along what a log does not tell: torques, inertias and the gain of a drive in one proportion."""
 
 from __future__ import annotations
 
@@ -7,12 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from loop_fits import of_machine
+from loop_fits import PENDULUM, of_machine
+from loop_logs import pieces
 from machines.records import Record
 
 from puma_sim_core.effects import Effect, parse_effect
+from puma_sim_core.identify.data.log import Log
 from puma_sim_core.identify.fitting.intervals import intervals
 from puma_sim_core.identify.fitting.point import Point
+from puma_sim_core.identify.fitting.prediction import PredictionFit
+from puma_sim_core.identify.settings import FITTING
+from puma_sim_core.simulation.simulator import Simulator
 
 pytestmark = pytest.mark.long
 RECORD = Record(5, "dfki_pendulum")
@@ -78,3 +83,29 @@ def test_a_fit_goes_along_it_to_where_the_priors_lead(fitted, share):
     assert found.objective < best.objective + 1.0
     value, low, high = intervals(fit, found)[0, "torque"]
     assert low < 0.3 < high and high - low > 0.2 * value
+
+
+@pytest.mark.parametrize("seed", [3, 5])
+def test_an_interval_goes_on_where_the_derivatives_change(seed):
+    """A drive lifts a weight and holds it with less and less: friction by load has a least size, and the drive's gain
+    takes up the rest. About that least size a joint that nearly slips has derivatives that it does not have beyond."""
+    true, rng = (
+        parse_effect("load_dependent_friction:joint=1,coefficient=0.45,transmitted=1"),
+        np.random.default_rng(seed),
+    )
+    plant, time = PENDULUM.plant(effects=(true,)), np.arange(0.0, 6.0, 0.005)
+    voltage = np.interp(time, [0.0, 0.3, 2.5, 3.0, 6.0], [0.0, 0.0, 6.5, 6.5, 3.0])[:, None]
+    simulator = Simulator(plant, max_step=1e-3)
+    simulator.reset([0.0])
+    position = simulator.run(time, voltage + 0.1 * rng.standard_normal(voltage.shape)).position
+    log = Log("own", time, voltage, position + 3e-4 * rng.standard_normal(voltage.shape))
+    _, _, predictor = pieces(PENDULUM, log, 0.1, 3e-4)
+    fit = PredictionFit(predictor, predictor.unfiltered_weighting(predictor.errors(plant)))
+    model, _ = fit.to_end(Point(PENDULUM.start, (true,)), ((0, "coefficient"),))
+    value, low, high = intervals(fit, model)[0, "coefficient"]
+    assert low < value < high
+    for end in (low, high):
+        there, _ = fit.to_end(
+            Point(model.point.theta, (Effect(true.kind, 1, {**true.values, "coefficient": end}),)), ()
+        )
+        assert there.objective - model.objective > 0.9 * 0.5 * FITTING.normal_quantile**2

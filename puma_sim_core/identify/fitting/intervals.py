@@ -3,8 +3,10 @@
 
 Innovations of an inexact model are not independent: the sandwich takes the scores' own covariance (Newey and West 1987,
 Econometrica 55:703). No slope shows limits and gaps: each parameter is also moved to both sides, all others fitted
-again, until the likelihood has fallen by as much. The wider counts; but where the sandwich would reach past the size at
-which the effect vanishes, the profile alone says how far it is to there: a tangent knows of no such end.
+again, until the likelihood has fallen by as much. Where its derivatives change it falls later: the end is fitted with
+new ones, and moves on as long as the likelihood has not fallen. The wider counts; but where the sandwich would reach
+past the size at which the effect vanishes, the profile alone says how far it is to there: a tangent knows of no such
+end.
 """
 
 from collections.abc import Callable, Sequence
@@ -80,12 +82,16 @@ def _end(fit: PredictionFit, fitted: Fitted, k: int, spread: float, wider: float
     vanishing, fallen = _vanishing(effect, spec, sign), False
     if vanishing < reach:
         steps = [sign * share * vanishing for share in FITTING.vanishing_shares]
-        inside, fallen = _profile(fitted, k, steps, wider, _fitted_anew(fit, fitted, k))
+        inside, fallen, _ = _profile(fitted, k, steps, wider, _fitted_anew(fit, fitted, k))
     if fallen:
         reach = inside
     else:
         steps = [sign * share * reach for share in FITTING.profile_shares]
-        reach = max(reach, _profile(fitted, k, steps, wider, _fitted_on(fit, fitted, k))[0])
+        along, ended, there = _profile(fitted, k, steps, wider, _fitted_on(fit, fitted, k))
+        reach = max(reach, along)
+        if ended:
+            steps = [sign * share * reach for share in FITTING.farther_shares]
+            reach = max(reach, _profile(fitted, k, steps, wider, _fitted_anew(fit, fitted, k), there)[0])
     end = value + sign * float(np.hypot(reach, FITTING.normal_quantile * blur))
     return float(max(end, min(spec.low, value)) if sign < 0.0 else min(end, max(spec.high, value)))
 
@@ -96,12 +102,14 @@ def _vanishing(effect: Effect, spec: Parameter, sign: float) -> float:
     return away if spec.role is Role.SIZE and not spec.inverse and away > 0.0 else np.inf
 
 
-def _profile(fitted: Fitted, k: int, steps: Sequence[float], wider: float, refit: Refit) -> tuple[float, bool]:
-    """How far a parameter can be moved, by steps from its value, until the likelihood has fallen enough, and whether it
-    has. Each fit goes on from the one before."""
+def _profile(
+    fitted: Fitted, k: int, steps: Sequence[float], wider: float, refit: Refit, start: Point | None = None
+) -> tuple[float, bool, Point]:
+    """How far a parameter can be moved, by steps from its value, until the likelihood has fallen enough, whether it
+    has, and the last model before. Each fit goes on from the one before, the first from `start`, None: the model."""
     number, _ = fitted.names[k]
     effect, spec = _free(fitted, k)
-    enough, before, point = 0.5 * FITTING.normal_quantile**2 * wider, (0.0, 0.0), fitted.point
+    enough, before, point = 0.5 * FITTING.normal_quantile**2 * wider, (0.0, 0.0), start or fitted.point
     for step in steps:
         reach, value = abs(step), effect.values[spec.name] + step
         if not spec.low <= value <= spec.high:
@@ -115,9 +123,9 @@ def _profile(fitted: Fitted, k: int, steps: Sequence[float], wider: float, refit
             # between two points the likelihood falls with the square
             low, high = np.sqrt(max(before[1], 0.0)), np.sqrt(min(fall, FITTING.greatest_fall * enough))
             part = (np.sqrt(enough) - low) / max(high - low, 1e-12)
-            return float(before[0] + min(max(part, 0.0), 1.0) * (reach - before[0])), True
+            return float(before[0] + min(max(part, 0.0), 1.0) * (reach - before[0])), True, point
         before, point = (reach, fall), moved.point
-    return before[0], False
+    return before[0], False, point
 
 
 def _fitted_on(fit: PredictionFit, fitted: Fitted, k: int) -> Refit:

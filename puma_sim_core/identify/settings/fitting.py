@@ -170,6 +170,8 @@ class Fitting:
     score_block: float = 0.02
     #: points of a profile, over the sandwich's reach
     profile_shares: tuple[float, ...] = (0.3, 0.6, 1.0, 1.5, 2.5, 4.0, 7.0, 12.0, 20.0)
+    #: and beyond where that ends, with new derivatives by all parameters
+    farther_shares: tuple[float, ...] = (1.0, 1.5, 2.5, 4.0, 7.0, 12.0, 20.0)
     #: and over the way to the size at which an effect vanishes
     vanishing_shares: tuple[float, ...] = (0.25, 0.5, 0.75, 0.9, 1.0)
     profile_rounds: int = 3  #: rounds of a fit of a profile

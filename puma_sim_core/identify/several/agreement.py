@@ -5,20 +5,25 @@ Estimates y of one parameter, with standard errors s from their intervals, are c
 
     Q = sum (y - m)^2 / s^2,  m = sum (y / s^2) / sum (1 / s^2),
 
-which has a chi-square distribution with k - 1 degrees of freedom where the k logs have one true value (Cochran 1954,
-Biometrics 10, 101-129). I2 = max(0, (Q - k + 1) / Q) is the share of the scatter that the intervals do not explain
-(Higgins and Thompson 2002, Statistics in Medicine 21, 1539-1558). Where Birge's ratio sqrt(Q / (k - 1)) is above 1, the
-interval of the mean is wider by it (Birge 1932, Physical Review 40, 207-227).
+where s is that of the side of y on which m lies: y with the two halves of its interval stands for a likelihood of two
+half parabolas (Barlow 2004, Asymmetric Statistical Errors, arXiv:physics/0406120), and m is the greatest of their
+product. With intervals that are as wide to both sides Q has a chi-square distribution with k - 1 degrees of freedom
+where the k logs have one true value (Cochran 1954, Biometrics 10, 101-129). I2 = max(0, (Q - k + 1) / Q) is the share
+of the scatter that the intervals do not explain (Higgins and Thompson 2002, Statistics in Medicine 21, 1539-1558).
+Where Birge's ratio sqrt(Q / (k - 1)) is above 1, the interval of the mean is wider by it (Birge 1932, Physical Review
+40, 207-227).
 """
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from scipy.optimize import brentq
 from scipy.special import chdtrc
 
 from puma_sim_core.effects import KINDS
 from puma_sim_core.effects.base import RATE, SIZE
+from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.report.text import hypothesis
 from puma_sim_core.identify.result import (
     DATA_FAULT,
@@ -48,12 +53,21 @@ def agreement(logs: Sequence[str], reports: Sequence[Mapping[str, Any] | None]) 
     return Agreement(tuple(logs), verdicts, effects, _sentence(verdicts, effects))
 
 
-def heterogeneity(values: Sequence[float], errors: Sequence[float]) -> tuple[float, float, float, float]:
-    """(mean, its standard error, Q, p-value) of k estimates, two at least, with standard errors above 0."""
-    y, weights = np.asarray(values), np.asarray(errors) ** -2.0
-    mean = float(weights @ y / weights.sum())
-    q, free = float(weights @ (y - mean) ** 2), len(y) - 1
-    return mean, float(weights.sum() ** -0.5 * max(1.0, np.sqrt(q / free))), q, float(chdtrc(free, q))
+def heterogeneity(
+    values: Sequence[float], below: Sequence[float], above: Sequence[float]
+) -> tuple[float, float, float, float]:
+    """(mean, its standard error, Q, p-value) of k estimates, two at least, with errors above 0 to each side."""
+    y, low, high = np.asarray(values), np.asarray(below), np.asarray(above)
+
+    def weights(at: float) -> Floats:
+        return np.where(y < at, high, low) ** -2.0
+
+    mean = float(y[0])
+    if np.ptp(y) > 0.0:
+        mean = float(brentq(lambda at: weights(at) @ (at - y), y.min(), y.max(), xtol=1e-12 * np.ptp(y)))
+    own = weights(mean)
+    q, free = float(own @ (y - mean) ** 2), len(y) - 1
+    return mean, float(own.sum() ** -0.5 * max(1.0, np.sqrt(q / free))), q, float(chdtrc(free, q))
 
 
 def _effect(key: Hypothesis, reports: Sequence[Mapping[str, Any] | None]) -> AgreementOfEffect:
@@ -81,16 +95,18 @@ def _state(key: Hypothesis, report: Mapping[str, Any]) -> str:
 def _size(name: str, found: Sequence[Mapping[str, Any] | None]) -> AgreementOfSize | None:
     """One parameter along the logs; None where no log gives an interval."""
     given = [_interval(each) for each in found]
-    errors = [0.0 if each is None else (each.high - each.low) / (2.0 * RESIDUALS.normal_quantile) for each in given]
-    pairs = [(each, error) for each, error in zip(given, errors) if each is not None and error > 0.0]
-    if not pairs:
+    sized = [each for each in given if each is not None and each.low < each.high]
+    if not sized:
         return None
-    unit = pairs[0][0].unit
-    if len(pairs) == 1:
+    unit = sized[0].unit
+    if len(sized) == 1:
         return AgreementOfSize(name, unit, tuple(given))
-    mean, error, q, p = heterogeneity([each.value for each, _ in pairs], [error for _, error in pairs])
+    # a size on an end of its interval has the width of the other half
+    below = [(each.value - each.low or each.high - each.low) / RESIDUALS.normal_quantile for each in sized]
+    above = [(each.high - each.value or each.high - each.low) / RESIDUALS.normal_quantile for each in sized]
+    mean, error, q, p = heterogeneity([each.value for each in sized], below, above)
     half = RESIDUALS.normal_quantile * error
-    i2 = max(0.0, (q - len(pairs) + 1) / q) if q > 0.0 else 0.0
+    i2 = max(0.0, (q - len(sized) + 1) / q) if q > 0.0 else 0.0
     return AgreementOfSize(name, unit, tuple(given), Interval(mean, mean - half, mean + half, unit), q, p, i2)
 
 
