@@ -101,6 +101,38 @@ def test_a_table_has_each_log_and_the_test_of_each_size():
     assert nothing.effects == () and "the same verdict" in nothing.sentence
 
 
+def by_load(coefficient, transmitted, half=0.05):
+    """A report that names friction by the load, of a share of the motor's torque."""
+    found = with_torque(1.0, 0.1)
+    size = {"value": coefficient, "unit": "1", "ci95": [coefficient - half, coefficient + half]}
+    given = {"value": transmitted, "unit": "1", "ci95": [transmitted, transmitted]}
+    effect = {"name": "load_dependent_friction", "joint": 1, "evidence": 50.0, "tied_with": [], "ruled_out": []}
+    found["effects"] = [{**effect, "parameters": {"coefficient": size, "transmitted": given}}]
+    return found
+
+
+def test_sizes_of_different_laws_are_not_compared():
+    """A share of the motor's torque and one of what the teeth bear are two quantities."""
+    reports = [by_load(0.5, 1.0), by_load(0.3, 0.72), by_load(0.52, 1.0), by_load(0.31, 0.70)]
+    found = agreement(["a", "b", "c", "d"], reports)
+    (effect,) = found.effects
+    assert effect.states == ("named",) * 4
+    motor, teeth = effect.sizes
+    assert (motor.law_words, teeth.law_words) == ("transmitted 1", "transmitted 0.72")
+    assert [each is not None for each in motor.found] == [True, False, True, False]
+    assert motor.mean.value == pytest.approx(0.51) and teeth.mean.value == pytest.approx(0.305)
+    assert motor.agrees and teeth.agrees and "different laws" in found.sentence and "transmitted 0.72" in found.sentence
+    assert "different laws" not in agreement(["a", "c"], reports[::2]).sentence
+    assert not agreement(["a", "b"], [by_load(0.5, 1.0), by_load(0.3, 1.0)]).effects[0].sizes[0].agrees
+
+
+def test_a_push_has_no_size_that_another_log_could_give():
+    pushed = with_torque(1.0, 0.1)
+    pushed["effects"][0] |= {"name": "impulse"}
+    (effect,) = agreement(["a", "b"], [pushed, pushed]).effects
+    assert effect.states == ("named", "named") and effect.sizes == ()
+
+
 def test_report_and_page_have_the_table():
     found = agreement(["day/a.csv", "day/b.csv"], [with_torque(10.0, 0.5), with_torque(12.0, 0.5)])
     made = replace(named(), agreement=found, logs=found.logs)

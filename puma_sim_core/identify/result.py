@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import isinf
 
@@ -201,7 +202,8 @@ class NextExperiment:
 @dataclass(frozen=True)
 class AgreementOfSize:
     """One parameter as each log alone gives it (None: not, or without bounds); where several do, their weighted mean,
-    Cochran's Q, its p-value, and I2, the share of the scatter that the intervals do not explain."""
+    Cochran's Q, its p-value, and I2, the share of the scatter that the intervals do not explain. law : values of what
+    the construction gives of the effect; logs that ask for another law have another size."""
 
     parameter: str
     unit: str
@@ -210,6 +212,12 @@ class AgreementOfSize:
     q: float | None = None
     p_value: float | None = None
     i2: float | None = None
+    law: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def law_words(self) -> str:
+        """The law, such as "transmitted 1"; empty where an effect has but one."""
+        return ", ".join(f"{name.replace('_', ' ')} {value:.3g}" for name, value in self.law.items())
 
     @property
     def agrees(self) -> bool:

@@ -107,6 +107,7 @@ def _agreement(found: result.Agreement) -> dict[str, Any]:
             "sizes": [
                 {
                     "parameter": size.parameter,
+                    "law": size.law,
                     "unit": size.unit,
                     "found": [interval(each) for each in size.found],
                     "mean": interval(size.mean),

@@ -87,7 +87,8 @@ def heterogeneity(found: Agreement) -> list[tuple[str, list[str], bool]]:
                 value, interval, unit = estimate(size.mean)
                 p = "< 0.0001" if size.p_value < 1e-4 else number(size.p_value, 2)
                 numbers = [f"{value} {unit}".strip(), interval, number(size.q), p, f"{100.0 * size.i2:.0f} %"]
-                rows.append((f"{hypothesis(effect)}, {size.parameter.replace('_', ' ')}", numbers, size.agrees))
+                words = f"{size.parameter.replace('_', ' ')}{f' ({size.law_words})' if size.law_words else ''}"
+                rows.append((f"{hypothesis(effect)}, {words}", numbers, size.agrees))
     return rows
 
 

@@ -14,7 +14,8 @@ Where Birge's ratio sqrt(Q / (k - 1)) is above 1, the interval of the mean is wi
 40, 207-227).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from scipy.optimize import brentq
 from scipy.special import chdtrc
 
 from puma_sim_core.effects import KINDS
-from puma_sim_core.effects.base import RATE, SIZE
+from puma_sim_core.effects.base import RATE, SIZE, STRUCTURE, Kind
 from puma_sim_core.identify.arrays import Floats
 from puma_sim_core.identify.report.text import hypothesis
 from puma_sim_core.identify.result import (
@@ -33,10 +34,12 @@ from puma_sim_core.identify.result import (
     Hypothesis,
     Interval,
 )
-from puma_sim_core.identify.settings import RESIDUALS
+from puma_sim_core.identify.settings import REPORT, RESIDUALS
 from puma_sim_core.pages.text import listed
 
 NAMED, TIED, NOT_EXCITED, NOT_NAMED = "named", "tied", "not excited", "not named"
+#: values of what the construction gives of an effect
+Law = Mapping[str, float]
 #: why there is no answer of a log
 _NO_ANSWER = "no answer"
 
@@ -73,9 +76,39 @@ def heterogeneity(
 def _effect(key: Hypothesis, reports: Sequence[Mapping[str, Any] | None]) -> AgreementOfEffect:
     states = tuple(_NO_ANSWER if report is None else _state(key, report) for report in reports)
     own = [None if report is None else _own(key, report) for report in reports]
-    names = [p.name for p in KINDS[key.name].parameters if p.role in (SIZE, RATE)]
-    sizes = (_size(name, [None if each is None else each["parameters"].get(name) for each in own]) for name in names)
-    return AgreementOfEffect(key.name, key.joint, states, tuple(size for size in sizes if size is not None))
+    return AgreementOfEffect(key.name, key.joint, states, tuple(_sizes(KINDS[key.name], own)))
+
+
+def _sizes(kind: Kind, own: Sequence[Mapping[str, Any] | None]) -> Iterator[AgreementOfSize]:
+    """The sizes of an effect, those of one law together: a share of the weight and one of the motor's torque are two
+    quantities. What happens once, such as a push, has no size that another log could give."""
+    if not kind.repeatable:
+        return
+    given = [None if each is None else _law(kind, each) for each in own]
+    laws = list[Law]()
+    for law in given:
+        if law is not None and not any(_alike(law, other) for other in laws):
+            laws.append(law)
+    for law in laws:
+        same = [each if other is not None and _alike(law, other) else None for each, other in zip(own, given)]
+        for parameter in kind.parameters:
+            if parameter.role in (SIZE, RATE):
+                size = _size(parameter.name, [None if e is None else e["parameters"].get(parameter.name) for e in same])
+                if size is not None:
+                    yield replace(size, law=law)
+
+
+def _law(kind: Kind, found: Mapping[str, Any]) -> Law:
+    """What the construction gives of an effect."""
+    structure = [p.name for p in kind.parameters if p.role is STRUCTURE and p.name in found["parameters"]]
+    return {name: float(found["parameters"][name]["value"]) for name in structure}
+
+
+def _alike(one: Law, other: Law) -> bool:
+    """Whether two laws are the same but for what poses make of them, such as the share of the links in the inertia."""
+    if one.keys() != other.keys():
+        return False
+    return all(abs(one[n] - other[n]) <= REPORT.same_law * max(abs(one[n]), abs(other[n])) for n in one)
 
 
 def _own(key: Hypothesis, report: Mapping[str, Any]) -> Mapping[str, Any] | None:
@@ -136,4 +169,13 @@ def _sentence(verdicts: Sequence[str], effects: Sequence[AgreementOfEffect]) -> 
         for size in e.sizes
         if not size.agrees
     ]
-    return f"{text} Their intervals exclude each other in {listed(apart)}." if apart else text
+    text = f"{text} Their intervals exclude each other in {listed(apart)}." if apart else text
+    return " ".join([text, *filter(None, map(_laws, effects))])
+
+
+def _laws(effect: AgreementOfEffect) -> str:
+    """The laws of an effect, where logs ask for different ones."""
+    laws = [words for words in dict.fromkeys(size.law_words for size in effect.sizes) if words]
+    if len(laws) < 2:
+        return ""
+    return f"They ask for different laws of {hypothesis(Hypothesis(effect.name, effect.joint), True)}: {listed(laws)}."

@@ -19,7 +19,22 @@ COLUMNS = (
     *("sentence", "error"),
 )
 #: columns of agreement.csv: an effect, of how many logs it is named and tied, and each of its sizes along the logs
-AGREEMENT = ("effect", "joint", "named", "tied", "logs", "parameter", "mean", "low", "high", "unit", "Q", "p", "I2")
+AGREEMENT = (
+    "effect",
+    "joint",
+    "named",
+    "tied",
+    "logs",
+    "parameter",
+    "law",
+    "mean",
+    "low",
+    "high",
+    "unit",
+    "Q",
+    "p",
+    "I2",
+)
 
 
 @dataclass(frozen=True)
@@ -57,7 +72,7 @@ def compared(folder: ResultFolder) -> tuple[str, list[list[str]]] | None:
             mean = (None, None, None) if size.mean is None else (size.mean.value, size.mean.low, size.mean.high)
             tested = (size.q, size.p_value, size.i2)
             numbers = ["" if x is None else f"{x:.6g}" for x in (*mean, *tested)]
-            about = [effect.name, joint, *counts, str(len(names)), size.parameter]
+            about = [effect.name, joint, *counts, str(len(names)), size.parameter, size.law_words]
             rows.append([*about, *numbers[:3], size.unit, *numbers[3:]])
     return found.sentence, rows
 
