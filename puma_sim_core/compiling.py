@@ -57,6 +57,8 @@ class Compilation:
         self._process: subprocess.Popen[bytes] | None = None
         self._thread: threading.Thread | None = None
         self._failed = False
+        #: threads of a program ask at the same time
+        self._turn = threading.Lock()
         chosen = os.environ.get("PUMA_SIM_KERNEL", "auto") == "auto" and jit.BACKEND == "numba"
         self._missing = missing = [part for part in parts if chosen and not _is_there(part)]
         if not missing:
@@ -100,17 +102,18 @@ class Compilation:
 
     def _awaited(self, part: str) -> bool:
         """Whether a part is not ready; one that cannot be compiled never is."""
-        if self._patient and not _is_there(part):
-            self.wait()
-        if not _is_there(part):
-            self._look()
-            return True
-        if self._load is None:
-            return False
-        if self._thread is None:
-            self._thread = threading.Thread(target=_loaded, args=(self._load,), daemon=True)
-            self._thread.start()
-        return self._thread.is_alive()
+        with self._turn:
+            if self._patient and not _is_there(part):
+                self.wait()
+            if not _is_there(part):
+                self._look()
+                return True
+            if self._load is None:
+                return False
+            if self._thread is None:
+                self._thread = threading.Thread(target=_loaded, args=(self._load,), daemon=True)
+                self._thread.start()
+            return self._thread.is_alive()
 
     def _look(self) -> None:
         """See that somebody is at work on what is missing, or say that it has failed."""

@@ -177,9 +177,13 @@ def await_compiled(part: str, awaited: Callable[[], bool]) -> None:
 
 def is_compiled(part: str) -> bool:
     """Whether runs that begin now take the compiled form of a part."""
-    if BACKEND == "numba" and part in _AWAITED and not hasattr(_HERE, "compiled") and not _AWAITED[part]():
-        del _AWAITED[part]
-    return BACKEND == "numba" and (part not in _AWAITED or hasattr(_HERE, "compiled"))
+    if BACKEND != "numba" or hasattr(_HERE, "compiled"):
+        return BACKEND == "numba"
+    awaited = _AWAITED.get(part)
+    if awaited is not None and not awaited():
+        # another thread may have seen the same
+        _AWAITED.pop(part, None)
+    return part not in _AWAITED
 
 
 def kernel_in_use() -> str:

@@ -148,3 +148,34 @@ def test_what_another_program_has_not_made_is_made_when_that_has_ended(begun, tm
         timer.join()
     assert len(begun.started) == 1 and (tmp_path / "trials").exists()
     assert begun.said == [WAITS]
+
+
+@pytest.mark.skipif(jit.BACKEND != "numba", reason="there is one kernel alone")
+def test_threads_that_see_together_that_a_part_is_there_all_go_on():
+    """Seen on a cold cache: of two threads that ran a model as the compiler ended, one stopped with a KeyError."""
+    together, answers = threading.Barrier(4), []
+
+    def awaited() -> bool:
+        together.wait(timeout=30.0)
+        return False
+
+    jit.await_compiled("trains", awaited)
+    threads = [threading.Thread(target=lambda: answers.append(jit.is_compiled("trains"))) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert answers == [True] * 4
+
+
+def test_threads_that_wait_together_say_it_once_and_go_on(begun, monkeypatch):
+    asked = {}
+    monkeypatch.setattr(jit, "await_compiled", asked.__setitem__)
+    begun(f"import time; time.sleep(0.5); {MAKES}", patient=True)
+    answers = []
+    threads = [threading.Thread(target=lambda: answers.append(asked["identification"]())) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert answers == [False] * 4 and begun.said == [WAITS] and len(begun.started) == 1
