@@ -144,6 +144,9 @@ def test_report_and_page_have_the_table():
     text = page(made)
     section = text.split('<section id="agreement">')[1].split("</section>")[0]
     assert "b.csv" in section and "Cochran" in section and "11.0" in section
+    laws = page(replace(named(), agreement=agreement(["a", "b"], [by_load(0.5, 1.0), by_load(0.3, 0.72)])))
+    rows = laws.split('<section id="agreement">')[1].split("</tr>")
+    assert "transmitted 1" in rows[1] and "transmitted 0.72" in rows[2]
     assert '<section id="agreement">' not in page(named())
 
 
