@@ -12,7 +12,7 @@ SHARES = {"nothing": 150, "effect": 108, "case": 50, "pair": 32, "outside": 26, 
 COUNT = sum(SHARES.values())
 #: seeds that no threshold was ever set on start here, with the present version of the generator; those for development
 #: lie between these. Records of version 1 with seeds from 900000 to 920339 were scored and looked at before;
-#: so were those of version 2 from 920000 to 920339, 970000 to 970339 and 990000 to 1001359 (docs/scores.md)
+#: so were those of version 2 from 920000 to 920339, 970000 to 970339 and 990000 to 1001699 (docs/scores.md)
 FINAL_SEED = 920_000
 DEVELOPMENT_SEEDS = (2000, 3000)
 
