@@ -124,6 +124,9 @@ def test_sizes_of_different_laws_are_not_compared():
     assert motor.agrees and teeth.agrees and "different laws" in found.sentence and "transmitted 0.72" in found.sentence
     assert "different laws" not in agreement(["a", "c"], reports[::2]).sentence
     assert not agreement(["a", "b"], [by_load(0.5, 1.0), by_load(0.3, 1.0)]).effects[0].sizes[0].agrees
+    # one between two laws counts once
+    chain = agreement(["a", "b", "c"], [by_load(0.5, 0.70), by_load(0.5, 0.83), by_load(0.5, 0.765)])
+    assert [sum(each is not None for each in size.found) for size in chain.effects[0].sizes] == [2, 1]
 
 
 def test_a_push_has_no_size_that_another_log_could_give():

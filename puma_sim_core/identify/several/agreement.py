@@ -84,13 +84,15 @@ def _sizes(kind: Kind, own: Sequence[Mapping[str, Any] | None]) -> Iterator[Agre
     quantities. What happens once, such as a push, has no size that another log could give."""
     if not kind.repeatable:
         return
-    given = [None if each is None else _law(kind, each) for each in own]
-    laws = list[Law]()
-    for law in given:
-        if law is not None and not any(_alike(law, other) for other in laws):
+    laws, numbers = list[Law](), list[int | None]()
+    for each in own:
+        law = None if each is None else _law(kind, each)
+        number = None if law is None else next((n for n, known in enumerate(laws) if _alike(law, known)), len(laws))
+        if law is not None and number == len(laws):
             laws.append(law)
-    for law in laws:
-        same = [each if other is not None and _alike(law, other) else None for each, other in zip(own, given)]
+        numbers.append(number)
+    for n, law in enumerate(laws):
+        same = [each if number == n else None for each, number in zip(own, numbers)]
         for parameter in kind.parameters:
             if parameter.role in (SIZE, RATE):
                 size = _size(parameter.name, [None if e is None else e["parameters"].get(parameter.name) for e in same])
